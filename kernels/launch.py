@@ -1,0 +1,54 @@
+"""Launch a Warp kernel on several CPU threads.
+
+One CPU launch runs on one thread but releases Python's lock, so two threads that launch two ranges work at once. A kernel
+that wants this takes `first: int` as its FIRST argument and computes its index as `first + wp.tid()`. Each index must write
+only memory of its own: then the result does not depend on the number of threads.
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from itertools import count as counter
+
+import warp as wp
+
+_pools: dict[int, ThreadPoolExecutor] = {}
+
+
+def launch_range(
+    kernel: wp.Kernel,
+    count: int,  # indices 0 .. count - 1
+    *,
+    inputs: Sequence,  # the kernel's arguments after `first`
+    outputs: Sequence = (),
+    device,
+    threads: int = 1,
+    min_chunk: int = 1,  # smallest range worth a launch of its own
+    chunks_per_thread: int = 8,  # ranges are drawn from a queue, so uneven work balances
+) -> None:
+    """Run `kernel` for every index in [0, count). On CUDA this is a single launch; `threads` matters on the CPU only."""
+    if count <= 0:
+        return
+    if not wp.get_device(device).is_cpu or threads == 1 or count <= min_chunk:
+        wp.launch(kernel, dim=count, inputs=[0, *inputs], outputs=list(outputs), device=device)
+        return
+    kernel.module.load(wp.get_device(device))  # compile once, before threads race for it
+    size = max(min_chunk, -(-count // (threads * chunks_per_thread)))
+    starts = range(0, count, size)
+    ticket = counter()
+
+    def drain() -> None:
+        while (index := next(ticket)) < len(starts):
+            first = starts[index]
+            dim = min(size, count - first)
+            wp.launch(kernel, dim=dim, inputs=[first, *inputs], outputs=list(outputs), device=device)
+
+    helpers = [_pool(threads - 1).submit(drain) for _ in range(threads - 1)]
+    drain()
+    for helper in helpers:
+        helper.result()
+
+
+def _pool(workers: int) -> ThreadPoolExecutor:
+    if workers not in _pools:
+        _pools[workers] = ThreadPoolExecutor(workers, thread_name_prefix="warp-launch")
+    return _pools[workers]
