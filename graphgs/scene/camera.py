@@ -1,5 +1,6 @@
 """A camera's intrinsics, with COLMAP's model names and parameter order."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +32,14 @@ class Camera:
             raise ValueError(f"camera model {self.model!r}: expected one of {', '.join(MODEL_PARAMS)}")
         if len(self.params) != MODEL_PARAMS[self.model]:
             raise ValueError(f"{self.model}: expected {MODEL_PARAMS[self.model]} parameters, got {len(self.params)}")
+        # Plain numbers, so that a camera made from NumPy scalars can be written as JSON.
+        object.__setattr__(self, "width", int(self.width))
+        object.__setattr__(self, "height", int(self.height))
+        object.__setattr__(self, "params", tuple(float(p) for p in self.params))
+        if self.width < 1 or self.height < 1:
+            raise ValueError(f"{self.model}: expected a size of at least 1x1 px, got {self.width}x{self.height}")
+        if not all(math.isfinite(p) for p in self.params) or min(self.focal_and_center[:2]) <= 0:
+            raise ValueError(f"{self.model}: expected finite parameters and a positive focal length, got {self.params}")
 
     @staticmethod
     def pinhole(width: int, height: int, fx: float, fy: float, cx: float, cy: float) -> "Camera":

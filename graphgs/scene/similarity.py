@@ -1,5 +1,6 @@
 """Similarity transforms: least-squares alignment of two sets of camera centres, and a robust spread of a set."""
 
+import contextlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,8 +68,6 @@ def diameter(points: np.ndarray) -> float:
     if len(points) < 2:
         return 0.0
     if len(points) > 500:
-        try:
+        with contextlib.suppress(QhullError):  # a line or a plane of cameras: all pairs, below
             points = points[ConvexHull(points).vertices]
-        except QhullError:
-            pass  # a line or a plane of cameras: all pairs, below
     return float(pdist(points).max())

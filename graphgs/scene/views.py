@@ -43,9 +43,7 @@ class Views:
 
     def save(self, folder: Path) -> None:
         """Write views.npz and views.json; image and mask files must already lie in `folder`."""
-        np.savez(
-            folder / "views.npz", sizes=self.sizes, Ks=self.Ks, viewmats=self.viewmats, is_test=self.is_test
-        )
+        np.savez(folder / "views.npz", sizes=self.sizes, Ks=self.Ks, viewmats=self.viewmats, is_test=self.is_test)
         keys = ("names", "images", "masks", "missing_test")
         (folder / "views.json").write_text(json.dumps({k: list(getattr(self, k)) for k in keys}, indent=1))
 
