@@ -1,0 +1,334 @@
+"""What GraphGS asks of COLMAP. The only module that imports pycolmap; it runs in a child process (`colmap_worker`).
+
+Each job takes plain values and leaves its result in files, so that a killed job costs only itself: features and matches
+go to the database image by image and pair by pair, a model appears by one rename.
+"""
+
+import shutil
+import zlib  # noqa: F401  (zlib and numpy first: pycolmap bundles libraries of the same names)
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from graphgs.scene.camera import Camera
+from graphgs.scene.reconstruction import Reconstruction
+
+Progress = Callable[[int, int], None]
+
+
+def create_database(
+    database: str,
+    images: list[str],  # [N] pixel files; image i gets the id i + 1
+    camera_of_image: list[int],  # [N] into `cameras`
+    cameras: list[dict],  # fields of graphgs.scene.Camera, and `known`: the focal length is more than a guess
+    progress: Progress,
+) -> dict:
+    """A database of images and shared cameras without features."""
+    path, partial = Path(database), Path(database + ".partial")
+    for leftover in path.parent.glob(partial.name + "*"):
+        leftover.unlink()
+    with pycolmap.Database.open(partial) as db:
+        for camera_id, fields in enumerate(cameras, 1):
+            db.write_camera(_camera(camera_id, fields), use_camera_id=True)
+            rig = pycolmap.Rig(rig_id=camera_id)
+            rig.add_ref_sensor(pycolmap.sensor_t(pycolmap.SensorType.CAMERA, camera_id))
+            db.write_rig(rig, use_rig_id=True)
+        for image_id, (name, camera) in enumerate(zip(images, camera_of_image, strict=True), 1):
+            image = pycolmap.Image(name=name, camera_id=camera + 1, image_id=image_id)
+            db.write_image(image, use_image_id=True)
+            frame = pycolmap.Frame(frame_id=image_id, rig_id=camera + 1)
+            frame.add_data_id(image.data_id)
+            db.write_frame(frame, use_frame_id=True)
+    _settle(partial)
+    partial.rename(path)
+    return {}
+
+
+def set_cameras(database: str, cameras: list[dict], progress: Progress) -> dict:
+    """Replace the intrinsics of every camera."""
+    with pycolmap.Database.open(database) as db:
+        for camera_id, fields in enumerate(cameras, 1):
+            db.update_camera(_camera(camera_id, fields))
+    return {}
+
+
+def extract(
+    database: str,
+    root: str,
+    images: list[str],
+    mask_root: str | None,  # masks lie at mask_root / (image + ".png"); 0 = no features here
+    max_side: int,  # [px]
+    max_features: int,
+    first_octave: int,
+    threads: int,
+    progress: Progress,
+) -> dict:
+    """SIFT features of some images; those that have features already are passed over."""
+    options = pycolmap.FeatureExtractionOptions(max_image_size=max_side, num_threads=threads, use_gpu=False)
+    options.sift.max_num_features = max_features
+    options.sift.first_octave = first_octave
+    reader = pycolmap.ImageReaderOptions()
+    if mask_root is not None:
+        reader.mask_path = mask_root
+    chunk = max(8, 4 * threads)
+    for first in range(0, len(images), chunk):
+        names = images[first : first + chunk]
+        pycolmap.extract_features(
+            database, root, names, reader_options=reader, extraction_options=options, device=pycolmap.Device.cpu
+        )
+        progress(first + len(names), len(images))
+    with pycolmap.Database.open(database) as db:
+        return {"features": [db.num_keypoints_for_image(i + 1) for i in range(db.num_images())]}
+
+
+def descriptors(database: str, out: str, progress: Progress) -> dict:
+    """All descriptors in one npz: `data` [F, 128] uint8 and `offsets` [N + 1] by image."""
+    with pycolmap.Database.open(database) as db:
+        per_image = [db.read_descriptors(i + 1).data.reshape(-1, 128) for i in range(db.num_images())]
+    offsets = np.concatenate([[0], np.cumsum([len(d) for d in per_image])])
+    np.savez(out, data=np.concatenate(per_image), offsets=offsets)
+    return {}
+
+
+def match(
+    database: str,
+    pairs: list[tuple[int, int]],  # image indices
+    chunk_pairs: int,
+    matching: dict,  # FeatureMatchingOptions
+    verification: dict,  # TwoViewGeometryOptions
+    threads: int,
+    scratch: str,
+    progress: Progress,
+) -> dict:
+    """Match and verify the given pairs, a chunk at a time; pairs in the database already are passed over."""
+    matching_options = pycolmap.FeatureMatchingOptions(num_threads=threads, use_gpu=False)
+    matching_options.mergedict(matching)
+    verification_options = pycolmap.TwoViewGeometryOptions()
+    verification_options.mergedict(verification)
+    with pycolmap.Database.open(database) as db:
+        names = [db.read_image(i + 1).name for i in range(db.num_images())]
+        pending = [(i, j) for i, j in pairs if not db.exists_two_view_geometry(i + 1, j + 1)]
+    listing = Path(scratch) / "pairs.txt"
+    finished = len(pairs) - len(pending)
+    progress(finished, len(pairs))
+    for first in range(0, len(pending), chunk_pairs):
+        chunk = pending[first : first + chunk_pairs]
+        listing.write_text("".join(f"{names[i]} {names[j]}\n" for i, j in chunk))
+        pycolmap.match_image_pairs(
+            database,
+            matching_options,
+            pycolmap.ImportedPairingOptions(match_list_path=listing),
+            verification_options,
+            pycolmap.Device.cpu,
+        )
+        finished += len(chunk)
+        progress(finished, len(pairs))
+    return {"matched_now": len(pending)}
+
+
+def verified(database: str, out: str, progress: Progress) -> dict:
+    """The verified pairs in one npz: `edges` [E, 2] image indices i < j, sorted; `inliers` [E]."""
+    with pycolmap.Database.open(database) as db:
+        pair_ids, counts = db.read_two_view_geometry_num_inliers()
+        pairs = [pycolmap.pair_id_to_image_pair(p) for p in pair_ids]
+    edges = np.array(pairs, dtype=np.int64).reshape(-1, 2) - 1
+    inliers = np.array(counts, dtype=np.int64)
+    keep = inliers > 0
+    edges, inliers = edges[keep], inliers[keep]
+    order = np.lexsort((edges[:, 1], edges[:, 0]))
+    np.savez(out, edges=edges[order], inliers=inliers[order])
+    return {}
+
+
+def settle(database: str, progress: Progress) -> dict:
+    """Fold the write-ahead log into the database, so that the one file is the whole of it."""
+    _settle(Path(database))
+    return {}
+
+
+def map_incrementally(
+    database: str,
+    root: str,
+    out: str,  # folder for the model
+    start: str | None,  # a model to go on from, its poses held
+    options: dict,  # IncrementalPipelineOptions
+    seed: int,
+    threads: int,
+    progress: Progress,
+) -> dict:
+    """COLMAP's incremental mapper; keeps the model with the most images."""
+    pycolmap.set_random_seed(seed)
+    settings = pycolmap.IncrementalPipelineOptions(num_threads=threads, random_seed=seed, extract_colors=False)
+    settings.mergedict(options)
+    settings.fix_existing_frames = start is not None
+    settings.mapper.random_seed = settings.triangulation.random_seed = seed
+    with pycolmap.Database.open(database) as db:
+        total = db.num_images()
+    registered = 0
+
+    def count_one() -> None:
+        nonlocal registered
+        registered += 1
+        progress(min(registered, total), total)
+
+    models = Path(out + ".models")
+    shutil.rmtree(models, ignore_errors=True)
+    models.mkdir(parents=True)
+    found = pycolmap.incremental_mapping(
+        database, root, models, settings, input_path=start or "", next_image_callback=count_one
+    )
+    shutil.rmtree(models)
+    if not found:
+        return {"registered": 0}
+    best = max(found, key=lambda k: (found[k].num_reg_images(), -k))
+    return _save(found[best], root, out)
+
+
+def triangulate(
+    database: str,
+    root: str,
+    poses: str,  # folder of a Reconstruction whose names are pixel files
+    out: str,
+    rounds: list[dict],  # per round: max_error_px, min_angle_deg, robust, refine
+    refine_intrinsics: bool,
+    seed: int,
+    threads: int,
+    progress: Progress,
+) -> dict:
+    """Triangulate the database's matches from given poses, then bundle adjustment and filtering, in rounds.
+
+    With `refine` off in every round the poses and intrinsics stay exactly as given."""
+    pycolmap.set_random_seed(seed)
+    given = Reconstruction.load(Path(poses))
+    with pycolmap.Database.open(database) as db:
+        cache = pycolmap.DatabaseCache.create(db, pycolmap.DatabaseCacheOptions())
+    model = pycolmap.Reconstruction()
+    model.load(cache)
+    ids = {image.name: image_id for image_id, image in model.images.items()}
+    for k, name in enumerate(given.names):
+        if name not in ids:
+            continue  # no verified match: nothing to triangulate
+        image = model.image(ids[name])
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(given.rotations[k]), given.translations[k])
+        camera = model.camera(image.camera_id)
+        _set_intrinsics(camera, given.camera_of(k))
+        model.frame(image.frame_id).set_cam_from_world(image.camera_id, pose)
+        model.register_frame(image.frame_id)
+    mapper = pycolmap.IncrementalMapper(cache)
+    mapper.begin_reconstruction(model)
+    for index, step in enumerate(rounds):
+        _round(mapper, model, step, refine_intrinsics, seed, threads)
+        progress(index + 1, len(rounds))
+    mapper.end_reconstruction(discard=False)
+    return _save(model, root, out)
+
+
+def _round(mapper, model, step: dict, refine_intrinsics: bool, seed: int, threads: int) -> None:
+    options = pycolmap.IncrementalMapperOptions(num_threads=threads, random_seed=seed)
+    options.filter_max_reproj_error = step["max_error_px"]
+    options.filter_min_tri_angle = step["min_angle_deg"]
+    options.fix_existing_frames = not step["refine"]
+    finding = pycolmap.IncrementalTriangulatorOptions(random_seed=seed)
+    finding.merge_max_reproj_error = finding.complete_max_reproj_error = step["max_error_px"]
+    finding.min_angle = step["min_angle_deg"]
+    for image_id in sorted(model.reg_image_ids()):
+        mapper.triangulate_image(finding, image_id)
+    mapper.complete_and_merge_tracks(finding)
+    mapper.retriangulate(finding)
+    if step["refine"]:
+        adjustment = pycolmap.BundleAdjustmentOptions(print_summary=False)
+        adjustment.refine_focal_length = adjustment.refine_extra_params = refine_intrinsics
+        adjustment.ceres.solver_options.num_threads = threads
+        adjustment.ceres.solver_options.max_num_iterations = 50
+        if step["robust"]:
+            adjustment.ceres.loss_function_type = pycolmap.LossFunctionType.SOFT_L1
+        mapper.adjust_global_bundle(options, adjustment)
+    mapper.filter_points(options)
+
+
+def _camera(camera_id: int, fields: dict) -> pycolmap.Camera:
+    camera = pycolmap.Camera(
+        camera_id=camera_id,
+        model=fields["model"],
+        width=fields["width"],
+        height=fields["height"],
+        params=list(fields["params"]),
+    )
+    camera.has_prior_focal_length = fields["known"]
+    return camera
+
+
+def _set_intrinsics(camera: pycolmap.Camera, source: Camera) -> None:
+    camera.model = getattr(pycolmap.CameraModelId, source.model)
+    camera.width, camera.height, camera.params = source.width, source.height, list(source.params)
+
+
+def _settle(database: Path) -> None:
+    import sqlite3
+
+    connection = sqlite3.connect(database)
+    connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    connection.execute("PRAGMA journal_mode=DELETE")
+    connection.close()
+
+
+def _save(model: pycolmap.Reconstruction, root: str, out: str) -> dict:
+    """The model in COLMAP's format (to go on from) and as a Reconstruction, in one folder that appears at once."""
+    partial, final = Path(out + ".partial"), Path(out)
+    shutil.rmtree(partial, ignore_errors=True)
+    (partial / "colmap").mkdir(parents=True)
+    model.extract_colors_for_all_images(root)
+    model.write_binary(partial / "colmap")
+    _reconstruction(model).save(partial)
+    shutil.rmtree(final, ignore_errors=True)
+    partial.rename(final)
+    return {"registered": model.num_reg_images()}
+
+
+def _reconstruction(model: pycolmap.Reconstruction) -> Reconstruction:
+    """Plain arrays, in the order of ids. Names are pixel files."""
+    image_ids = sorted(model.reg_image_ids())
+    images = [model.image(i) for i in image_ids]
+    camera_ids = sorted({image.camera_id for image in images})
+    poses = [image.cam_from_world() for image in images]
+    row = {image_id: k for k, image_id in enumerate(image_ids)}
+    pixels = {image.image_id: np.array([p.xy for p in image.points2D]).reshape(-1, 2) for image in images}
+    point_ids = sorted(model.point3D_ids())
+    points = [model.point3D(p) for p in point_ids]
+    tracks = [sorted((e.image_id, e.point2D_idx) for e in p.track.elements) for p in points]
+    observations = [pair for track in tracks for pair in track]
+    return Reconstruction(
+        cameras=tuple(_plain_camera(model.camera(c)) for c in camera_ids),
+        names=tuple(image.name for image in images),
+        camera_ids=np.array([camera_ids.index(image.camera_id) for image in images], dtype=np.int64),
+        rotations=np.array([p.rotation.matrix() for p in poses]).reshape(-1, 3, 3),
+        translations=np.array([p.translation for p in poses]).reshape(-1, 3),
+        points=np.array([p.xyz for p in points]).reshape(-1, 3),
+        colors=np.array([p.color for p in points], dtype=np.uint8).reshape(-1, 3),
+        errors=np.array([p.error for p in points], dtype=np.float64),
+        track_offsets=np.concatenate([[0], np.cumsum([len(t) for t in tracks])]).astype(np.int64),
+        track_images=np.array([row[i] for i, _ in observations], dtype=np.int32),
+        track_xy=np.array([pixels[i][k] for i, k in observations]).reshape(-1, 2),
+    )
+
+
+def _plain_camera(camera: pycolmap.Camera) -> Camera:
+    return Camera(camera.model_name, camera.width, camera.height, tuple(float(p) for p in camera.params))
+
+
+JOBS = {
+    job.__name__: job
+    for job in (
+        create_database,
+        set_cameras,
+        extract,
+        descriptors,
+        match,
+        verified,
+        settle,
+        map_incrementally,
+        triangulate,
+    )
+}

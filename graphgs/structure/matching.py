@@ -1,0 +1,168 @@
+"""Features at full quality, matched and geometrically verified for the chosen pairs only."""
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from graphgs.errors import DataError
+from graphgs.progress import Reporter
+from graphgs.structure.colmap import ColmapWorker
+from graphgs.structure.components import components, describe
+from graphgs.structure.config import StructureConfig
+from graphgs.structure.database import build_features, link_or_copy, refined_by, shared_cameras
+from graphgs.structure.pairing import Pairs
+from graphgs.structure.prior import Prior
+
+_BRIDGE_ROUNDS = 2
+
+
+@dataclass(frozen=True)
+class Matches:
+    """The verified pairs, and the database with their matches."""
+
+    names: tuple[str, ...]  # [N] all photos
+    database: Path  # COLMAP database; image i has the id i + 1
+    edges: np.ndarray  # [E, 2] int, i < j, sorted
+    inliers: np.ndarray  # [E] verified matches
+    features: np.ndarray  # [N] features per photo
+    candidates: int  # pairs tried, bridges included
+
+    @property
+    def component(self) -> np.ndarray:
+        """Image indices of the largest connected group."""
+        return components(len(self.names), self.edges)[0]
+
+    def save(self, folder: Path) -> None:
+        """The database goes into the folder (a hard link where possible)."""
+        folder.mkdir(parents=True, exist_ok=True)
+        target = folder / "database.db"
+        if not (target.exists() and os.path.samefile(target, self.database)):
+            target.unlink(missing_ok=True)
+            link_or_copy(self.database, target)
+        np.savez(folder / "matches.npz", edges=self.edges, inliers=self.inliers, features=self.features)
+        header = {"names": list(self.names), "candidates": self.candidates}
+        (folder / "matches.json").write_text(json.dumps(header, indent=1))
+
+    @staticmethod
+    def load(folder: Path) -> "Matches":
+        header = json.loads((folder / "matches.json").read_text())
+        with np.load(folder / "matches.npz", allow_pickle=False) as arrays:
+            return Matches(
+                tuple(header["names"]), folder / "database.db", candidates=header["candidates"], **dict(arrays)
+            )
+
+
+def match_pairs(
+    config: StructureConfig,
+    photos,
+    pairs: Pairs,
+    prior: Prior,
+    *,
+    scratch: Path,
+    reporter: Reporter,
+    threads: int,
+    seed: int,
+) -> Matches:
+    """Match the candidates; photos left apart get further pairs with their look-alikes. A killed run continues from the
+    database in `scratch`. Raises DataError when no three photos hang together."""
+    scratch.mkdir(parents=True, exist_ok=True)
+    database = scratch / "database.db"
+    n = len(photos.photos)
+    tried = _in_photo_order(pairs, photos.names)
+    with ColmapWorker(scratch) as worker:
+        features = build_features(
+            worker,
+            database,
+            photos,
+            refined_by(shared_cameras(photos), photos, prior.reconstruction),
+            max_side=config.fine_max_side,
+            max_features=config.fine_features,
+            first_octave=config.fine_first_octave,
+            scratch=scratch,
+            threads=threads,
+            progress=lambda done, total: reporter.progress(done, total, "features"),
+        )
+
+        def verify(chosen: list[tuple[int, int]], note: str) -> tuple[np.ndarray, np.ndarray]:
+            worker.run(
+                "match",
+                progress=lambda done, total: reporter.progress(done, total, note),
+                database=database,
+                pairs=chosen,
+                chunk_pairs=config.chunk_pairs,
+                matching={},
+                verification={"min_num_inliers": config.min_inliers, "ransac": {"random_seed": seed}},
+                threads=threads,
+                scratch=scratch,
+            )
+            worker.run("verified", database=database, out=scratch / "verified.npz")
+            with np.load(scratch / "verified.npz", allow_pickle=False) as arrays:
+                return arrays["edges"], arrays["inliers"]
+
+        edges, inliers = verify(tried, "matching")
+        for _ in range(_BRIDGE_ROUNDS):
+            bridges = bridge_candidates(n, edges, prior.similar, set(tried), per_group=config.bridge_pairs)
+            if not bridges:
+                break
+            tried += bridges
+            edges, inliers = verify(tried, "bridges")
+        worker.run("settle", database=database)
+        reporter.event("worker", stage="matching", peak_rss_mb=round(worker.peak_rss_mb))
+    groups = components(n, edges)
+    reporter.event(
+        "matches",
+        candidates=len(tried),
+        exhaustive=n * (n - 1) // 2,
+        verified=len(edges),
+        groups=[len(group) for group in groups[:10]],
+    )
+    if len(groups[0]) < 3:
+        raise _apart(photos.names, groups, len(tried), len(edges))
+    if len(groups) > 1:
+        reporter.warn(
+            f"the photos fall into {len(groups)} groups without common features; going on with the largest, "
+            f"leaving out: {describe(photos.names, groups[1:])}"
+        )
+    return Matches(photos.names, database, edges, inliers, features, len(tried))
+
+
+def _in_photo_order(pairs: Pairs, names: tuple[str, ...]) -> list[tuple[int, int]]:
+    """The candidates as sorted indices into the photos (pairing counts the placed photos first)."""
+    index = {name: k for k, name in enumerate(names)}
+    row = np.array([index[name] for name in pairs.names], dtype=np.int64)
+    return sorted((int(min(p)), int(max(p))) for p in row[pairs.pairs])
+
+
+def bridge_candidates(
+    n: int,
+    edges: np.ndarray,  # [E, 2] verified
+    similar: np.ndarray,  # [N, k] look-alikes, best first
+    tried: set[tuple[int, int]],
+    *,
+    per_group: int,
+) -> list[tuple[int, int]]:
+    """For every group but the largest, its most alike untried pairs with the rest; in file order where none are known."""
+    groups = components(n, edges)
+    chosen: set[tuple[int, int]] = set()
+    for group in groups[1:]:
+        inside = np.zeros(n, dtype=bool)
+        inside[group] = True
+        ranked = []
+        for i in group:
+            order = similar[i] if similar.size else sorted(np.flatnonzero(~inside), key=lambda j: (abs(j - i), j))
+            outside = [int(j) for j in order if j >= 0 and not inside[j]]
+            ranked += [(rank, min(int(i), j), max(int(i), j)) for rank, j in enumerate(outside)]
+        fresh = [(i, j) for _, i, j in sorted(ranked) if (i, j) not in tried and (i, j) not in chosen]
+        chosen.update(fresh[:per_group])
+    return sorted(chosen)
+
+
+def _apart(names: tuple[str, ...], groups: list[np.ndarray], candidates: int, verified: int) -> DataError:
+    return DataError(
+        f"the photos do not show one connected scene: of {candidates} candidate pairs {verified} share features, and the "
+        f"largest group holds {len(groups[0])} of {len(names)} photos: {describe(names, groups)}",
+        hint="add photos in between that overlap both sides by half or more, or run each scene on its own",
+    )
