@@ -1,0 +1,84 @@
+"""Settings of the training stage."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Defaults are 3DGS (Kerbl et al. 2023, code of the authors) where no other source is named. Every step in here is
+    an executed step; `*_fraction` is a share of `steps`, so that a short run goes through the same phases as a long one
+    (docs/decisions/0020-training-schedule.md)."""
+
+    steps: int = 30_000
+    """Executed optimisation steps, one view each."""
+    max_splats: int = 1_000_000
+    """Hard limit on the number of Gaussians; never exceeded."""
+    ssim_weight: float = 0.2
+    """Share of 1 - SSIM in the photometric loss; the rest is L1."""
+    sampling: Literal["graphgs", "paper", "uniform"] = "graphgs"
+    """How views are drawn: in proportion to importance, by skipping (the printed form), or evenly."""
+
+    # Learning rates, per step of Adam
+    means_rate: float = 1.6e-4
+    """Centres, in units of the scene extent, at the first step."""
+    means_rate_final: float = 1.6e-6
+    """Centres at the last step; exponential in between."""
+    log_scales_rate: float = 5e-3
+    """Log of the standard deviations."""
+    quats_rate: float = 1e-3
+    """Rotations."""
+    logit_opacities_rate: float = 5e-2
+    """Opacities before the sigmoid."""
+    sh_dc_rate: float = 2.5e-3
+    """Constant harmonic."""
+    sh_rest_rate: float = 1.25e-4
+    """Higher harmonics: a twentieth of the constant one."""
+
+    # Colour
+    sh_degree: int = 3
+    """Highest degree of the spherical harmonics, 0 to 3."""
+    sh_degree_interval: int = 1000
+    """Steps between two raises of the active degree, at most `sh_degree_fraction` of the run."""
+    sh_degree_fraction: float = 0.1
+    """Ours: 3DGS reaches degree 3 at a tenth of 30k steps; a short run gets there at 0.3 of its own length."""
+    initial_opacity: float = 0.1
+    """Opacity of an initial Gaussian."""
+
+    # Adaptive control of the number of Gaussians
+    densify_from_step: int = 500
+    """First step that may clone and split, at most `densify_from_fraction` of the run."""
+    densify_from_fraction: float = 0.1
+    """Ours, for short runs."""
+    densify_until_fraction: float = 0.5
+    """Share of the run after which Gaussians are neither added nor reset (15k of 30k)."""
+    densify_interval: int = 100
+    """Steps between two rounds."""
+    densify_gradient: float = 2e-4
+    """Mean 2D gradient, in half image sizes (NDC), above which a Gaussian is cloned or split."""
+    densify_scale: float = 0.01
+    """Largest standard deviation, in scene extents, up to which a Gaussian is cloned; a larger one is split."""
+    prune_opacity: float = 0.005
+    """Gaussians less opaque are removed."""
+    prune_scale: float = 0.1
+    """Gaussians larger, in scene extents, are removed; from the first opacity reset on."""
+    opacity_reset_interval: int = 3000
+    """Steps between two resets of the opacities to twice `prune_opacity`; none in runs too short to recover."""
+
+    # Consistency between views (METHOD 6)
+    consistency: Literal["graphgs", "paper", "none"] = "graphgs"
+    """Reprojection by rendered depth, the printed depth-free form, or off."""
+    consistency_source: Literal["render", "truth", "both"] = "render"
+    """What the other view is: its render (the paper's reading), its photo, or both in turn."""
+    lambda_consistency: float = 0.07
+    """Weight of the consistency loss (GraphGS, Cheng et al. 2025)."""
+    consistency_from_fraction: float = 0.5
+    """Ours: share of the run before it starts; depth is meaningless earlier."""
+    consistency_interval: int = 4
+    """Ours: every n-th step carries it, as each needs a second render."""
+
+    # Running
+    image_cache_bytes: int = 512 * 2**20
+    """Decoded training images kept in memory."""
+    checkpoint_s: float = 20.0
+    """Longest wall time between two checkpoints; does not influence the result."""

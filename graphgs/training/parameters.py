@@ -1,0 +1,105 @@
+"""The trainable rows: one per Gaussian, each with its Adam moments, which stay together through densification."""
+
+import torch
+from torch import Tensor
+from torch.optim.adam import adam
+
+from graphgs.rendering.splats import Splats
+
+GROUPS = ("means", "quats", "log_scales", "logit_opacities", "sh_dc", "sh_rest")
+BETAS = (0.9, 0.999)  # Adam, Kingma & Ba 2015
+EPS = 1e-15  # 3DGS: gradients of a mean over pixels are tiny
+
+
+class Parameters:
+    """Values [N, ...] and first and second Adam moments of every group in GROUPS."""
+
+    def __init__(self, values: dict[str, Tensor]):
+        self.values = {name: values[name].detach().clone().requires_grad_() for name in GROUPS}
+        self.moments1 = {name: torch.zeros_like(value, requires_grad=False) for name, value in self.values.items()}
+        self.moments2 = {name: torch.zeros_like(value, requires_grad=False) for name, value in self.values.items()}
+
+    @staticmethod
+    def from_splats(splats: Splats) -> "Parameters":
+        values = {name: getattr(splats, name) for name in GROUPS if hasattr(splats, name)}
+        return Parameters(values | {"sh_dc": splats.sh_coeffs[:, :1], "sh_rest": splats.sh_coeffs[:, 1:]})
+
+    def __len__(self) -> int:
+        return self.values["means"].shape[0]
+
+    def sh_coeffs(self, degree: int) -> Tensor:
+        """[N, (degree + 1)^2, 3], differentiable."""
+        if degree == 0:
+            return self.values["sh_dc"]
+        return torch.cat([self.values["sh_dc"], self.values["sh_rest"][:, : (degree + 1) ** 2 - 1]], dim=1)
+
+    def splats(self, sh_degree: int) -> Splats:
+        """A snapshot, detached."""
+        values = {name: value.detach().clone() for name, value in self.values.items()}
+        sh_coeffs = torch.cat([values.pop("sh_dc"), values.pop("sh_rest")], dim=1)
+        return Splats(**values, sh_coeffs=sh_coeffs, sh_degree=sh_degree)
+
+    @torch.no_grad()
+    def step(self, step: int, rates: dict[str, float]) -> None:
+        """One Adam update from the gathered gradients, which are dropped. A group without gradient stays as it is.
+
+        torch's fused kernel: 0.7 ms for 13k Gaussians on one thread, a third of what a Warp kernel took."""
+        for name, value in self.values.items():
+            if value.grad is None:
+                continue
+            adam(
+                [value],
+                [value.grad],
+                [self.moments1[name]],
+                [self.moments2[name]],
+                [],
+                [torch.tensor(float(step), device=value.device)],  # the update adds 1
+                fused=True,
+                amsgrad=False,
+                beta1=BETAS[0],
+                beta2=BETAS[1],
+                lr=rates[name],
+                weight_decay=0.0,
+                eps=EPS,
+                maximize=False,
+            )
+            value.grad = None
+
+    @torch.no_grad()
+    def rebuild(
+        self,
+        kept: Tensor,  # [M] int64, rows that stay, with their moments
+        added: dict[str, Tensor],  # [A, ...] per group: new rows, moments zero
+    ) -> None:
+        """Rows `kept`, then the new ones."""
+        for name in GROUPS:
+            new = added[name]
+            value = torch.cat([self.values[name].detach()[kept], new])
+            self.values[name] = value.requires_grad_()
+            for moments in (self.moments1, self.moments2):
+                moments[name] = torch.cat([moments[name][kept], torch.zeros_like(new)])
+
+    @torch.no_grad()
+    def cap_opacities(self, logit: float) -> None:
+        """Lower every opacity to at most `logit` and forget its moments."""
+        self.values["logit_opacities"].clamp_(max=logit)
+        self.moments1["logit_opacities"].zero_()
+        self.moments2["logit_opacities"].zero_()
+
+    @property
+    def is_finite(self) -> bool:
+        # a sum is finite only if no term is NaN or infinite; far cheaper than a mask, and overflow needs 1e38
+        return all(bool(torch.isfinite(value.detach().sum())) for value in self.values.values())
+
+    def state(self) -> dict[str, Tensor]:
+        """Everything, by flat names, for a checkpoint."""
+        parts = {"values": self.values, "moments1": self.moments1, "moments2": self.moments2}
+        return {f"{part}.{name}": tensors[name].detach() for part, tensors in parts.items() for name in GROUPS}
+
+    @staticmethod
+    def from_state(state: dict[str, Tensor], device: str) -> "Parameters":
+        parameters = Parameters({name: state[f"values.{name}"].to(device) for name in GROUPS})
+        for name in GROUPS:
+            parameters.moments1[name] = state[f"moments1.{name}"].to(device)
+            parameters.moments2[name] = state[f"moments2.{name}"].to(device)
+        return parameters

@@ -1,0 +1,52 @@
+"""What changes over a run, as pure functions of the executed step (0 is the first)."""
+
+from graphgs.training.config import TrainConfig
+
+
+class Schedule:
+    """Rates, degrees and windows of one run. Holds no state, so a resumed run sees the same schedule."""
+
+    def __init__(self, config: TrainConfig):
+        self._config = config
+        steps = config.steps
+        self._sh_interval = max(1, min(config.sh_degree_interval, round(config.sh_degree_fraction * steps)))
+        self.densify_from = min(config.densify_from_step, round(config.densify_from_fraction * steps))
+        self.densify_until = round(config.densify_until_fraction * steps)
+        self.consistency_from = round(config.consistency_from_fraction * steps)
+
+    def means_rate(self, step: int) -> float:
+        """Learning rate of the centres in scene extents: exponential from the first to the last executed step."""
+        config = self._config
+        progress = step / max(1, config.steps - 1)
+        return config.means_rate ** (1.0 - progress) * config.means_rate_final**progress
+
+    def sh_degree(self, step: int) -> int:
+        """Active degree of the spherical harmonics."""
+        return min(self._config.sh_degree, step // self._sh_interval)
+
+    def gathers_gradients(self, step: int) -> bool:
+        """Whether the step counts towards the next densification round."""
+        return step < self.densify_until
+
+    def densifies_after(self, step: int) -> bool:
+        """Whether a round follows this step: a full interval has been seen and the window is open."""
+        done = step + 1
+        return self.densify_from <= done < self.densify_until and done % self._config.densify_interval == 0
+
+    def resets_opacities_after(self, step: int) -> bool:
+        """Resets happen while Gaussians are added, and need an interval to recover from: short runs have none."""
+        done, interval = step + 1, self._config.opacity_reset_interval
+        return done % interval == 0 and done < self.densify_until and self._config.steps - done >= interval
+
+    def prunes_large(self, step: int) -> bool:
+        """3DGS removes oversized Gaussians once opacities have been reset."""
+        return step + 1 > self._config.opacity_reset_interval
+
+    def has_consistency(self, step: int) -> bool:
+        config = self._config
+        return (
+            config.consistency != "none"
+            and config.lambda_consistency > 0.0
+            and step >= self.consistency_from
+            and step % config.consistency_interval == 0
+        )

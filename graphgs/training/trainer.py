@@ -1,0 +1,143 @@
+"""One run's state, and its single step."""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from graphgs.graph import CameraGraph
+from graphgs.graph.sampler import ViewSampler
+from graphgs.losses import photometric_loss
+from graphgs.rendering.rasterize import RenderOutput, rasterize
+from graphgs.rendering.splats import Splats
+from graphgs.scene.views import Views
+from graphgs.training.config import TrainConfig
+from graphgs.training.consistency import ConsistencyTerm
+from graphgs.training.images import TrainingImages
+from graphgs.training.parameters import Parameters
+from graphgs.training.schedule import Schedule
+from graphgs.training.strategy import AdaptiveControl, Strategy
+
+RECOVERY_RATE = 0.5  # learning rates after a roll-back
+
+
+class Trainer:
+    """Gaussians, optimiser, strategy and position in the schedule. A step depends on these, the seed and the step
+    number alone: not on time, on threads, or on where the run was interrupted."""
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        views: Views,
+        graph: CameraGraph,
+        initial: Splats,
+        *,
+        extent: float,  # scene extent, world units
+        device: str,
+        seed: int,
+    ):
+        self.config, self.views, self.device = config, views, device
+        self.schedule = Schedule(config)
+        self.done = 0  # executed steps
+        self.recoveries = 0
+        self.between_steps = True  # False while a step is half applied
+        self.parameters = Parameters.from_splats(initial)
+        self.strategy: Strategy = AdaptiveControl(
+            config, self.schedule, extent=extent, seed=seed, count=len(initial), device=device
+        )
+        self._extent = extent
+        self._Ks = torch.as_tensor(views.Ks, dtype=torch.float32, device=device)
+        self._viewmats = torch.as_tensor(views.viewmats, dtype=torch.float32, device=device)
+        self._index = np.array([views.names.index(name) if name in views.names else -1 for name in graph.names])
+        self._sampler = ViewSampler(graph, seed=seed, mode=config.sampling)
+        self._images = TrainingImages(
+            views, budget_bytes=config.image_cache_bytes, view_of_step=self.view_of_step, device=device
+        )
+        self._consistency = (
+            None if config.consistency == "none" else ConsistencyTerm(config, views, graph, device=device)
+        )
+
+    def view_of_step(self, step: int) -> int:
+        """The training view of an executed step."""
+        view = int(self._index[self._sampler.view(step)])
+        if view < 0 or self.views.is_test[view]:
+            raise ValueError(f"graph: step {step} drew a view that is not a training view")
+        return view
+
+    def step(self) -> Tensor:
+        """Execute one step; the loss, detached."""
+        self.between_steps = False
+        step = self.done
+        view, photo, mask = self._images.of_step(step)
+        degree = self.schedule.sh_degree(step)
+        gaussians = self._gaussians(degree)
+        out = self._render(view, gaussians, degree)
+        loss = photometric_loss(out.colors, photo, mask, ssim_weight=self.config.ssim_weight)
+        if self._consistency is not None and self.schedule.has_consistency(step):
+            detached = [tensor.detach() for tensor in gaussians]
+            extra = self._consistency.loss(
+                view,
+                out,
+                mask,
+                render=lambda j: self._render(j, detached, degree),
+                photo=self._images.of_view,
+            )
+            if extra is not None:
+                loss = loss + self.config.lambda_consistency * extra
+        self.strategy.before_backward(step, out)
+        loss.backward()
+        self.strategy.after_backward(step, out)
+        self.parameters.step(step, self._rates(step))
+        self.strategy.after_step(step, self.parameters)
+        self.done += 1
+        self.between_steps = True
+        return loss.detach()
+
+    def splats(self) -> Splats:
+        """The Gaussians as they are, detached."""
+        return self.parameters.splats(self.config.sh_degree)
+
+    def state(self) -> dict[str, Tensor]:
+        return self.parameters.state() | {f"strategy.{k}": v for k, v in self.strategy.state().items()}
+
+    def restore(self, done: int, state: dict[str, Tensor]) -> None:
+        """Go on from `done` executed steps."""
+        self.done = done
+        self.parameters = Parameters.from_state(state, self.device)
+        prefix = "strategy."
+        self.strategy.load_state({k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)})
+        self.between_steps = True
+
+    def close(self) -> None:
+        self._images.close()
+
+    def _gaussians(self, degree: int) -> tuple[Tensor, ...]:
+        values = self.parameters.values
+        return (
+            values["means"],
+            values["quats"],
+            torch.exp(values["log_scales"]),
+            torch.sigmoid(values["logit_opacities"]),
+            self.parameters.sh_coeffs(degree),
+        )
+
+    def _render(self, view: int, gaussians: tuple[Tensor, ...] | list[Tensor], degree: int) -> RenderOutput:
+        width, height = (int(side) for side in self.views.sizes[view])
+        return rasterize(
+            *gaussians,
+            self._viewmats[view : view + 1],
+            self._Ks[view : view + 1],
+            width,
+            height,
+            sh_degree=degree,
+        )
+
+    def _rates(self, step: int) -> dict[str, float]:
+        config, caution = self.config, RECOVERY_RATE**self.recoveries
+        return {
+            "means": caution * self._extent * self.schedule.means_rate(step),
+            "quats": caution * config.quats_rate,
+            "log_scales": caution * config.log_scales_rate,
+            "logit_opacities": caution * config.logit_opacities_rate,
+            "sh_dc": caution * config.sh_dc_rate,
+            "sh_rest": caution * config.sh_rest_rate,
+        }

@@ -1,0 +1,81 @@
+"""Trainable rows and their Adam moments."""
+
+import torch
+
+from graphgs.rendering.splats import TENSORS, Splats
+from graphgs.training.parameters import EPS, GROUPS, Parameters
+
+RATES = dict(zip(GROUPS, (1e-2, 2e-2, 3e-2, 4e-2, 5e-2, 6e-2), strict=True))
+
+
+def _splats(count: int = 5) -> Splats:
+    generator = torch.Generator().manual_seed(1)
+    shapes = {"means": (3,), "quats": (4,), "log_scales": (3,), "logit_opacities": (), "sh_coeffs": (16, 3)}
+    return Splats(**{name: torch.randn((count, *shapes[name]), generator=generator) for name in TENSORS})
+
+
+def _descend(parameters: Parameters, first: int, steps: int) -> None:
+    for step in range(first, first + steps):
+        sum((value**4).sum() for value in parameters.values.values()).backward()
+        parameters.step(step, RATES)
+
+
+def test_splats_come_back_unchanged():
+    splats = _splats()
+    back = Parameters.from_splats(splats).splats(3)
+    assert all(torch.equal(getattr(back, name), getattr(splats, name)) for name in TENSORS)
+    for degree in range(4):
+        assert torch.equal(Parameters.from_splats(splats).sh_coeffs(degree), splats.sh_coeffs[:, : (degree + 1) ** 2])
+
+
+def test_update_is_adam():
+    parameters = Parameters.from_splats(_splats())
+    oracle = {name: value.detach().clone().requires_grad_() for name, value in parameters.values.items()}
+    groups = [{"params": [value], "lr": RATES[name]} for name, value in oracle.items()]
+    optimizer = torch.optim.Adam(groups, eps=EPS, betas=(0.9, 0.999))
+    for _ in range(5):
+        optimizer.zero_grad()
+        sum((value**4).sum() for value in oracle.values()).backward()
+        optimizer.step()
+    _descend(parameters, 0, 5)
+    for name in GROUPS:
+        torch.testing.assert_close(parameters.values[name], oracle[name], rtol=1e-5, atol=1e-6)
+
+
+def test_a_group_without_gradient_stays():
+    parameters = Parameters.from_splats(_splats())
+    before = parameters.values["sh_rest"].detach().clone()
+    parameters.values["means"].sum().backward()
+    parameters.step(0, RATES)
+    assert torch.equal(parameters.values["sh_rest"], before)
+    assert parameters.values["means"].grad is None
+
+
+def test_rebuild_keeps_rows_with_their_moments():
+    parameters = Parameters.from_splats(_splats())
+    _descend(parameters, 0, 2)
+    before = {name: tensor.clone() for name, tensor in parameters.state().items()}
+    added = {name: torch.ones_like(value.detach()[:2]) for name, value in parameters.values.items()}
+    parameters.rebuild(torch.tensor([3, 0]), added)
+    assert len(parameters) == 4
+    for name, tensor in parameters.state().items():
+        assert torch.equal(tensor[:2], before[name][[3, 0]])
+        assert (tensor[2:] == (1.0 if name.startswith("values.") else 0.0)).all()
+    _descend(parameters, 2, 1)  # still trainable
+
+
+def test_state_restores_every_bit():
+    parameters = Parameters.from_splats(_splats())
+    _descend(parameters, 0, 2)
+    twin = Parameters.from_state({name: tensor.clone() for name, tensor in parameters.state().items()}, "cpu")
+    _descend(parameters, 2, 3)
+    _descend(twin, 2, 3)
+    assert all(torch.equal(twin.state()[name], tensor) for name, tensor in parameters.state().items())
+
+
+def test_values_that_are_not_finite_are_seen():
+    parameters = Parameters.from_splats(_splats())
+    assert parameters.is_finite
+    with torch.no_grad():
+        parameters.values["sh_rest"][2, 3, 1] = float("inf")
+    assert not parameters.is_finite

@@ -1,0 +1,136 @@
+"""Adaptive control: who is cloned, split and removed, and the limit that holds."""
+
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from graphgs.rendering.splats import Splats
+from graphgs.training.config import TrainConfig
+from graphgs.training.parameters import Parameters
+from graphgs.training.schedule import Schedule
+from graphgs.training.strategy import AdaptiveControl
+
+ROUND = 999  # a step after which a round takes place
+EXTENT = 2.0
+SMALL, LARGE = 0.001, 0.05  # standard deviations in extents; the border is 0.01
+
+
+def _setting(sizes, opacities, *, max_splats=100, seed=0):
+    """Gaussians far apart on x, of given sizes (in extents) and opacities."""
+    count = len(sizes)
+    config = TrainConfig(steps=30_000, max_splats=max_splats)
+    splats = Splats(
+        means=torch.stack([10.0 * torch.arange(count), torch.zeros(count), torch.zeros(count)], 1),
+        quats=torch.tensor([1.0, 0, 0, 0]).repeat(count, 1),
+        log_scales=torch.log(EXTENT * torch.tensor(sizes))[:, None].repeat(1, 3),
+        logit_opacities=torch.logit(torch.tensor(opacities)),
+        sh_coeffs=torch.zeros(count, 16, 3),
+    )
+    strategy = AdaptiveControl(config, Schedule(config), extent=EXTENT, seed=seed, count=count, device="cpu")
+    return strategy, Parameters.from_splats(splats)
+
+
+def _see(strategy, pulls, *, width=64, height=32):
+    """One view in which Gaussian g has the NDC gradient norm pulls[g]; None = not visible."""
+    seen = torch.tensor([pull is not None for pull in pulls])
+    gradient = torch.zeros(1, len(pulls), 2)
+    gradient[0, :, 1] = torch.tensor([pull or 0.0 for pull in pulls]) / (height / 2)
+    strategy.after_backward(
+        0,
+        SimpleNamespace(
+            colors=torch.zeros(1, height, width, 3),
+            means2d=SimpleNamespace(grad=gradient),
+            radii=(5 * seen[None, :, None].int()).repeat(1, 1, 2),
+        ),
+    )
+
+
+def test_small_is_cloned_large_is_split_faint_is_removed():
+    strategy, parameters = _setting([SMALL, LARGE, SMALL, SMALL], [0.5, 0.5, 0.5, 0.001])
+    _see(strategy, [3e-4, 3e-4, 1e-4, 3e-4])
+    strategy.after_step(ROUND, parameters)
+    x = parameters.values["means"].detach()[:, 0]
+    sizes = parameters.values["log_scales"].detach().exp()[:, 0] / EXTENT
+    assert [int((x - 10 * g).abs().lt(4).sum()) for g in range(4)] == [2, 2, 1, 0]
+    halves = (x - 10).abs() < 4
+    torch.testing.assert_close(sizes[halves], torch.full((2,), LARGE / 1.6))
+    assert x[halves].unique().numel() == 2
+    assert (sizes[~halves] - SMALL).abs().max() < 1e-6
+
+
+def test_pull_is_the_mean_over_views_that_saw_it():
+    strategy, parameters = _setting([SMALL, SMALL], [0.5, 0.5])
+    _see(strategy, [5e-4, 5e-4])
+    for _ in range(2):
+        _see(strategy, [0.0, None])  # 5e-4 / 3 < threshold for the first, 5e-4 / 1 for the second
+    strategy.after_step(ROUND, parameters)
+    assert sorted(parameters.values["means"][:, 0].tolist()) == [0.0, 10.0, 10.0]
+
+
+def test_statistics_start_afresh_after_a_round():
+    strategy, parameters = _setting([SMALL], [0.5])
+    _see(strategy, [1e-3])
+    strategy.after_step(ROUND, parameters)
+    strategy.after_step(ROUND + 100, parameters)
+    assert len(parameters) == 2
+    assert strategy.state()["pull"].shape == (2,)
+
+
+@pytest.mark.parametrize("limit", [6, 7, 8, 20])
+def test_the_limit_holds_and_the_strongest_go_first(limit):
+    strategy, parameters = _setting([SMALL, LARGE] * 3, [0.5] * 6, max_splats=limit)
+    pulls = [3e-4, 8e-4, 5e-4, 6e-4, 7e-4, 4e-4]
+    _see(strategy, pulls)
+    strategy.after_step(ROUND, parameters)
+    assert len(parameters) == min(limit, 12)
+    x = parameters.values["means"].detach()[:, 0]
+    grown = [g for g in range(6) if int((x - 10 * g).abs().lt(4).sum()) == 2]
+    strongest = sorted(range(6), key=lambda g: -pulls[g])[: limit - 6]
+    assert grown == sorted(strongest)
+
+
+def test_no_scene_is_emptied():
+    strategy, parameters = _setting([SMALL, SMALL], [0.001, 0.001])
+    _see(strategy, [0.0, 0.0])
+    strategy.after_step(ROUND, parameters)
+    assert len(parameters) == 2
+
+
+def test_oversized_ones_go_only_after_the_first_reset():
+    for step, left in ((ROUND, 2), (3999, 1)):
+        strategy, parameters = _setting([SMALL, 0.3], [0.5, 0.5])
+        _see(strategy, [0.0, 0.0])
+        strategy.after_step(step, parameters)
+        assert len(parameters) == left
+
+
+def test_reset_caps_opacities_and_forgets_their_moments():
+    strategy, parameters = _setting([SMALL, SMALL], [0.5, 0.007])
+    parameters.moments1["logit_opacities"] += 1.0
+    _see(strategy, [0.0, 0.0])
+    strategy.after_step(2999, parameters)
+    torch.testing.assert_close(
+        torch.sigmoid(parameters.values["logit_opacities"].detach()), torch.tensor([0.01, 0.007]), rtol=1e-4, atol=0
+    )
+    assert not parameters.moments1["logit_opacities"].any()
+
+
+def test_splits_depend_on_the_seed_and_the_step_alone():
+    def means(seed):
+        strategy, parameters = _setting([LARGE], [0.5], seed=seed)
+        _see(strategy, [1e-3])
+        strategy.after_step(ROUND, parameters)
+        return parameters.values["means"].detach()
+
+    assert torch.equal(means(1), means(1))
+    assert not torch.equal(means(1), means(2))
+
+
+def test_state_carries_the_statistics():
+    strategy, parameters = _setting([SMALL, SMALL], [0.5, 0.5])
+    _see(strategy, [1e-3, 0.0])
+    twin, _ = _setting([SMALL, SMALL], [0.5, 0.5])
+    twin.load_state(strategy.state())
+    twin.after_step(ROUND, parameters)
+    assert len(parameters) == 3
