@@ -1,0 +1,99 @@
+"""Which pairs can share a view, judged by coarse poses: one pure predicate in four forms."""
+
+import functools
+import logging
+from typing import Literal
+
+import numpy as np
+
+from graphgs.scene.neighbours import median_spacing
+from graphgs.structure.frusta import frusta_overlap
+from graphgs.structure.pair_set import check_centers, check_pairs, check_rotations
+from graphgs.structure.quadrants import ACCEPTED, octant_codes, world_codes
+
+FilterMode = Literal["paper-strict", "paper-loose", "octant", "frustum"]
+FieldOfView = (
+    float | tuple[float, float] | np.ndarray
+)  # full angle(s); (h, v); or an array [N] or [N, 2]; NaN = unknown
+DepthRange = tuple[float, float] | np.ndarray  # near and far, world units; or an array [N, 2]
+
+
+def filter_pairs(
+    pairs: np.ndarray,  # [P, 2] int
+    rotations: np.ndarray,  # [N, 3, 3] camera-from-world
+    centers: np.ndarray,  # [N, 3] world
+    *,
+    mode: FilterMode = "frustum",
+    fov_deg: FieldOfView | None = None,
+    depth_range: DepthRange | None = None,
+) -> np.ndarray:
+    """[P] bool: which pairs to keep. Protects nothing: connection pairs and nearest neighbours are the caller's care.
+
+    paper-strict, paper-loose: the printed state table in WORLD axes, each pair judged as given, (i, j) is not (j, i).
+        Turning the scene changes the answer.
+    octant: the loose table with everything turned into the first camera's own frame; accepted if either order is.
+    frustum: sampled frusta with a margin, either order. Without a field of view for a camera its pairs are judged by
+        `octant` (logged once). Without a depth range: near 0.5 and far 20 times the median spacing to the fifth
+        neighbour. A tuple or list of two is fov_deg (horizontal, vertical) for all cameras.
+    octant and frustum do not change with scale, rotation or translation of the scene.
+    """
+    centers = check_centers(centers)
+    n = len(centers)
+    rotations = check_rotations(rotations, n)
+    pairs = check_pairs(pairs, n)
+    if mode in ("paper-strict", "paper-loose"):
+        return ACCEPTED[mode.removeprefix("paper-")][world_codes(pairs, rotations, centers)]
+    if mode == "octant":
+        return _octant(pairs, rotations, centers)
+    if mode != "frustum":
+        raise ValueError(f"mode: expected 'paper-strict', 'paper-loose', 'octant' or 'frustum', got {mode!r}")
+    if not len(pairs):
+        return np.zeros(0, bool)
+    half_angle = _half_angles(fov_deg, n)
+    depths = _depth_ranges(depth_range, centers)
+    known = np.isfinite(half_angle).all(1)[pairs].all(1)
+    keep = np.zeros(len(pairs), bool)
+    keep[known] = frusta_overlap(pairs[known], rotations, centers, half_angle, depths)
+    if not known.all():
+        _say_once("no field of view is known for some cameras: their pairs are filtered by octant instead of frustum")
+        keep[~known] = _octant(pairs[~known], rotations, centers)
+    return keep
+
+
+def _octant(pairs: np.ndarray, rotations: np.ndarray, centers: np.ndarray) -> np.ndarray:
+    accepted = ACCEPTED["loose"]
+    forward, backward = (octant_codes(p, rotations, centers) for p in (pairs, pairs[:, ::-1]))
+    return accepted[forward] | accepted[backward]
+
+
+def _half_angles(fov_deg, n: int) -> np.ndarray:
+    """[N, 2] rad, NaN where unknown."""
+    if fov_deg is None:
+        return np.full((n, 2), np.nan)
+    fov = np.asarray(fov_deg, np.float64)
+    if fov.ndim == 1 and len(fov) == n and (n != 2 or isinstance(fov_deg, np.ndarray)):
+        fov = fov[:, None]  # one per camera, the same both ways
+    if fov.ndim > 2 or (fov.ndim == 1 and len(fov) != 2) or (fov.ndim == 2 and fov.shape not in ((n, 1), (n, 2))):
+        raise ValueError(f"fov_deg: expected a number, (h, v), [{n}] or [{n}, 2], got {list(fov.shape)}")
+    if ((fov <= 0) | (fov > 360)).any():
+        raise ValueError(f"fov_deg: expected degrees in 0..360, got {np.nanmin(fov)}..{np.nanmax(fov)}")
+    # A flat frustum ends before 180 degrees; a wider lens is judged as 160.
+    return np.broadcast_to(np.deg2rad(np.minimum(fov, 160.0) / 2), (n, 2))
+
+
+def _depth_ranges(depth_range, centers: np.ndarray) -> np.ndarray:
+    """[N, 2] near and far."""
+    n = len(centers)
+    if depth_range is None:
+        depth_range = np.array([0.5, 20.0]) * median_spacing(centers)
+    depths = np.asarray(depth_range, np.float64)
+    if depths.shape not in ((2,), (n, 2)):
+        raise ValueError(f"depth_range: expected (near, far) or [{n}, 2], got {list(depths.shape)}")
+    if not (np.isfinite(depths).all() and (depths[..., 0] >= 0).all() and (depths[..., 0] < depths[..., 1]).all()):
+        raise ValueError("depth_range: expected 0 <= near < far")
+    return np.broadcast_to(depths, (n, 2))
+
+
+@functools.cache
+def _say_once(message: str) -> None:
+    logging.getLogger(__name__).warning(message)
