@@ -1,0 +1,151 @@
+"""What INPUT is: a folder of photos, a COLMAP project, a transforms.json, a KITTI sequence.
+
+A folder gives its photos alone: poses found beside them are named, not used, unless INPUT is the pose file itself or
+a COLMAP project (images/ and sparse/), so that "photos without poses" is what a folder of photos means.
+"""
+
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from graphgs.errors import DataError, UsageError
+from graphgs.scene.colmap import find_model
+from graphgs.sources.listing import OUTPUT_MARK, find_masks, holds_photos, list_photos
+from graphgs.sources.photos import Skipped
+from graphgs.sources.trajectory import is_kitti
+from graphgs.sources.transforms import Transforms, read_transforms
+
+IMAGE_FOLDERS = ("images", "image_2", "image_0", "image_02", "image_00")  # the first that exists; KITTI's after ours
+POSE_FILES = ("transforms.json", "transforms_train.json", "poses.txt")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the photos of an input lie and which poses come with them."""
+
+    kind: Literal["photos", "colmap", "transforms", "kitti"]
+    root: Path  # photo names are relative to it
+    names: tuple[str, ...]  # candidate photo files, sorted
+    refused: tuple[Skipped, ...] = ()  # files that cannot be photos, known from their names
+    masks: dict[str, Path] = field(default_factory=dict)  # by photo name
+    poses: Path | None = None  # the pose file or model folder in use
+    transforms: Transforms | None = None  # what it says, if it is a transforms.json
+    note: str = ""  # poses in use, or lying beside the photos unused
+
+
+def find_layout(source: Path, *, exclude: Path | None = None) -> Layout:
+    """Decide what `source` is. `exclude` is a folder below it that holds no input, such as this run's output."""
+    if not source.exists():
+        raise UsageError(
+            f"{source}: does not exist", hint="INPUT is a folder of photos, or a file of poses beside them"
+        )
+    if source.is_file():
+        return _pose_file(source, exclude)
+    model = find_model(source)
+    if model == source and not holds_photos(source):
+        return _bare_model(source, exclude)
+    if model is not None and (source / "images").is_dir() and (source / "sparse") in (model, model.parent):
+        return _photos(source / "images", exclude, kind="colmap", poses=model, note=f"poses from {_short(model)}")
+    root = photo_root(source)
+    return _photos(root, exclude, note="; ".join(_unused(source, root)))
+
+
+def photo_root(folder: Path) -> Path:
+    """The folder photo names are relative to: `folder`, or images/ in it if photos lie only there."""
+    if not holds_photos(folder):
+        for name in IMAGE_FOLDERS:
+            if (folder / name).is_dir():
+                return folder / name
+    return folder
+
+
+def _photos(root: Path, exclude: Path | None, **fields) -> Layout:
+    names, refused = list_photos(root, exclude=exclude)
+    if not names:
+        more = f" ({len(refused)} files cannot be read, e.g. {refused[0].name}: {refused[0].reason})" if refused else ""
+        raise DataError(
+            f"{root}: no photos{more}", hint="JPEG, PNG, TIFF, WebP and the like are looked for, recursively"
+        )
+    return Layout(
+        **{"kind": "photos", "masks": find_masks(root, names), **fields}, root=root, names=names, refused=refused
+    )
+
+
+def _unused(source: Path, root: Path) -> list[str]:
+    """Sentences about poses and photos that lie in `source` and are not used."""
+    notes = [
+        f"{name} lies beside the photos and was not used; give it as INPUT to use its poses"
+        for name in POSE_FILES
+        if (source / name).is_file()
+    ]
+    folders = sorted(p for p in source.iterdir() if p.is_dir() and not p.name.startswith("."))
+    models = {find_model(f) for f in [source, *folders] if not (f / OUTPUT_MARK).exists()} - {None}
+    for model in sorted(models):
+        place = model.relative_to(source).as_posix()
+        notes.append(f"{place} holds camera poses and was not used; give it as INPUT to use them")
+    if root != source:
+        others = [p.name + "/" for p in folders if p != root and p.name != "masks" and holds_photos(p)]
+        if others:
+            notes.append(f"photos in {', '.join(others)} were not used, only those in {root.name}/")
+    return notes
+
+
+def _bare_model(model: Path, exclude: Path | None) -> Layout:
+    """A COLMAP model given by itself: its photos lie in images/ of the folder around it."""
+    for folder in list(model.absolute().parents)[:3]:
+        if (folder / "images").is_dir():
+            return _photos(folder / "images", exclude, kind="colmap", poses=model, note=f"poses from {_short(model)}")
+    raise DataError(
+        f"{model}: a COLMAP model without photos",
+        hint="put the photos into images/ beside it, or give a folder of photos",
+    )
+
+
+def _pose_file(file: Path, exclude: Path | None) -> Layout:
+    if file.suffix.lower() == ".json":
+        return _transforms(file)
+    if file.suffix.lower() == ".txt" and is_kitti(file):
+        root = photo_root(file.parent)
+        return _photos(root, exclude, kind="kitti", poses=file, note=f"poses from {_short(file)}")
+    raise UsageError(
+        f"{file}: neither a folder of photos nor a file of poses",
+        hint="INPUT is a folder of photos, a COLMAP project, a transforms.json or a KITTI poses.txt",
+    )
+
+
+def _transforms(file: Path) -> Layout:
+    """Photos are the frames of the file; names are relative to images/ if all lie below it, as for a folder."""
+    transforms = read_transforms(file)
+    root = photo_root(file.parent)
+    prefix = root.relative_to(file.parent).as_posix() + "/" if root != file.parent else ""
+    if not all(frame.name.startswith(prefix) for frame in transforms.frames):
+        root, prefix = file.parent, ""
+    names, missing, masks = [], [], {}
+    for frame in transforms.frames:
+        name = frame.name.removeprefix(prefix)
+        if not os.path.isfile(root / name):
+            missing.append(Skipped(name, f"named in {file.name}, but there is no such file"))
+            continue
+        names.append(name)
+        if frame.mask is not None:
+            masks[name] = file.parent / frame.mask
+    if not names:
+        first = f", e.g. {missing[0].name}" if missing else ""
+        raise DataError(
+            f"{file}: none of its {len(missing)} photos exists{first}", hint="paths in it are relative to it"
+        )
+    return Layout(
+        kind="transforms",
+        root=root,
+        names=tuple(sorted(names)),
+        refused=tuple(missing),
+        masks=find_masks(root, tuple(names)) | masks,
+        poses=file,
+        transforms=transforms.renamed(prefix),
+        note=f"poses from {_short(file)}",
+    )
+
+
+def _short(path: Path) -> str:
+    return "/".join(path.absolute().parts[-2:])

@@ -1,0 +1,191 @@
+"""The sources stage: from an INPUT to `Photos`."""
+
+import hashlib
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from graphgs.errors import DataError, DiskError, OutOfMemoryError
+from graphgs.progress import Reporter
+from graphgs.sources.config import SourcesConfig
+from graphgs.sources.decode import (
+    MAX_PIXELS,
+    Decoded,
+    UnusableError,
+    decode,
+    decode_mask,
+    decoding,
+    encode_png,
+    open_header,
+    read_file,
+)
+from graphgs.sources.given import fit_to_photos
+from graphgs.sources.layout import Layout, find_layout
+from graphgs.sources.photos import Photo, Photos, Skipped
+from graphgs.sources.poses import given_poses
+
+LEAST_PHOTOS = 3  # a scene needs three views
+SHOWN = 5  # skipped files spelled out in messages
+
+
+def load_photos(
+    config: SourcesConfig,
+    source: Path,
+    folder: Path,
+    *,
+    reporter: Reporter,
+    threads: int,
+    exclude: Path | None = None,
+) -> Photos:
+    """Decode the photos of `source` into `folder` and gather what is known about them.
+
+    Single bad files are skipped with a reason. `exclude` is a folder below `source` that is not input, such as the
+    run's own output. The same input gives the same files and names for any number of threads.
+    Raises UsageError for a missing input, DataError with fewer than 3 usable photos or unusable poses.
+    """
+    layout = find_layout(source, exclude=exclude)
+    _make(folder / "photos")
+    _make(folder / "masks")
+    with decoding():
+        poses = given_poses(layout)
+        photos, skipped = _decode_all(config, layout, folder, reporter, threads)
+    skipped = tuple(sorted((*layout.refused, *skipped), key=lambda s: s.name))
+    _check_enough(source, photos, skipped)
+    given = fit_to_photos(poses, photos) if poses is not None else None
+    result = Photos(folder, photos, skipped, given, layout.note)
+    for file in skipped[:SHOWN]:
+        reporter.warn(f"{file.name}: skipped: {file.reason}")
+    if len(skipped) > SHOWN:
+        reporter.warn(f"{len(skipped) - SHOWN} more files were skipped; the report names them")
+    if layout.note:
+        reporter.info(layout.note)
+    reporter.event(
+        "photos",
+        usable=len(photos),
+        skipped=len(skipped),
+        masks=sum(photo.mask is not None for photo in photos),
+        duplicates=sum(len(group) - 1 for group in result.duplicates),
+        given=len(given.names) if given is not None else 0,
+    )
+    return result
+
+
+class _PixelBudget:
+    """Lets threads decode at once as long as their photos together stay below one photo of the largest size."""
+
+    def __init__(self):
+        self._free = MAX_PIXELS
+        self._changed = threading.Condition()
+
+    @contextmanager
+    def hold(self, pixels: int):
+        with self._changed:
+            self._changed.wait_for(lambda: self._free >= pixels)
+            self._free -= pixels
+        try:
+            yield
+        finally:
+            with self._changed:
+                self._free += pixels
+                self._changed.notify_all()
+
+
+def _decode_all(
+    config: SourcesConfig, layout: Layout, folder: Path, reporter: Reporter, threads: int
+) -> tuple[tuple[Photo, ...], list[Skipped]]:
+    budget = _PixelBudget()
+    photos, skipped = [], []
+    # Threads, not processes: Pillow and OpenCV decode and encode outside of Python's lock.
+    pool = ThreadPoolExecutor(max_workers=threads)
+    try:
+        jobs = [pool.submit(_one, config, layout, folder, budget, i) for i in range(len(layout.names))]
+        for done, (name, job) in enumerate(zip(layout.names, jobs, strict=True), 1):
+            try:
+                photos.append(job.result())
+            except UnusableError as error:
+                skipped.append(Skipped(name, str(error)))
+            reporter.progress(done, len(jobs), name)
+    except MemoryError:
+        raise OutOfMemoryError(
+            "not enough memory to decode the photos", hint="use fewer --threads, or make the photos smaller"
+        ) from None
+    finally:
+        pool.shutdown(cancel_futures=True)
+    return tuple(photos), skipped
+
+
+def _one(config: SourcesConfig, layout: Layout, folder: Path, budget: _PixelBudget, index: int) -> Photo:
+    """Decode one photo and its mask, write them, and say what is known. Raises UnusableError."""
+    name = layout.names[index]
+    data = read_file(layout.root / name)
+    header = open_header(data)
+    with budget.hold(header.width * header.height):
+        decoded = decode(data, config.decode_max_side)
+        mask = _mask(config, layout, name, decoded)
+    file = f"{index:06d}.png"
+    _write(folder / "photos" / file, encode_png(decoded.pixels))
+    if mask is not None:
+        _write(folder / "masks" / file, encode_png(mask))
+    height, width = decoded.pixels.shape[:2]
+    exif = header.exif
+    return Photo(
+        name=name,
+        pixels=f"photos/{file}",
+        width=width,
+        height=height,
+        original_width=header.width,
+        original_height=header.height,
+        mask=f"masks/{file}" if mask is not None else None,
+        focal_px=exif.focal_px(width, height),
+        camera_key=f"{PurePosixPath(name).parent}|{header.width}x{header.height}|{exif.camera}",
+        sha256=hashlib.sha256(data).hexdigest(),
+        gps=exif.gps,
+        time=exif.time,
+        orientation=exif.orientation,
+    )
+
+
+def _mask(config: SourcesConfig, layout: Layout, name: str, decoded: Decoded) -> np.ndarray | None:
+    """[H, W] bool, alpha and mask file together; None if every pixel counts."""
+    mask = decoded.mask
+    if name in layout.masks:
+        try:
+            drawn = decode_mask(read_file(layout.masks[name]), decoded.header, config.decode_max_side)
+        except UnusableError as error:
+            raise UnusableError(f"mask {layout.masks[name].name}: {error}") from None
+        mask = drawn if mask is None else mask & drawn
+    if mask is None or mask.all():
+        return None
+    if not mask.any():
+        raise UnusableError("every pixel is transparent or masked")
+    return mask
+
+
+def _check_enough(source: Path, photos: tuple[Photo, ...], skipped: tuple[Skipped, ...]) -> None:
+    if len(photos) >= LEAST_PHOTOS:
+        return
+    reasons = [f"{s.name} ({s.reason})" for s in skipped[:SHOWN]]
+    if len(skipped) > SHOWN:
+        reasons.append(f"{len(skipped) - SHOWN} more")
+    listing = f"; skipped: {', '.join(reasons)}" if reasons else ""
+    raise DataError(
+        f"{source}: fewer than {LEAST_PHOTOS} usable photos ({len(photos)}){listing}",
+        hint="a scene needs at least 3 photos, better 20 or more, taken from different places and overlapping",
+    )
+
+
+def _make(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DiskError(f"{folder}: cannot be made: {error.strerror}", hint="choose another OUTPUT") from None
+
+
+def _write(path: Path, data: bytes) -> None:
+    try:
+        path.write_bytes(data)
+    except OSError as error:
+        raise DiskError(f"{path}: cannot be written: {error.strerror}", hint="free disk space and run again") from None
