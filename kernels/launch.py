@@ -1,8 +1,8 @@
 """Launch a Warp kernel on several CPU threads.
 
-One CPU launch runs on one thread but releases Python's lock, so two threads that launch two ranges work at once. A kernel
-that wants this takes `first: int` as its FIRST argument and computes its index as `first + wp.tid()`. Each index must write
-only memory of its own: then the result does not depend on the number of threads.
+One CPU launch runs on one thread but releases Python's lock, so two threads that launch two ranges work at once. A
+kernel that wants this takes `first: int` as its FIRST argument and computes its index as `first + wp.tid()`. Each index
+must write only memory of its own: then the result does not depend on the number of threads.
 """
 
 from collections.abc import Sequence
@@ -10,6 +10,10 @@ from concurrent.futures import ThreadPoolExecutor
 from itertools import count as counter
 
 import warp as wp
+
+wp.config.log_level = wp.LOG_ERROR  # no banner, no line per compiled module, no warning that there is no GPU
+wp.init()
+wp.config.log_level = wp.LOG_WARNING
 
 _pools: dict[int, ThreadPoolExecutor] = {}
 
@@ -25,22 +29,27 @@ def launch_range(
     min_chunk: int = 1,  # smallest range worth a launch of its own
     chunks_per_thread: int = 8,  # ranges are drawn from a queue, so uneven work balances
 ) -> None:
-    """Run `kernel` for every index in [0, count). On CUDA this is a single launch; `threads` matters on the CPU only."""
+    """Run `kernel` for every index in [0, count). On CUDA this is one launch; `threads` matters on the CPU only."""
     if count <= 0:
         return
     if not wp.get_device(device).is_cpu or threads == 1 or count <= min_chunk:
         wp.launch(kernel, dim=count, inputs=[0, *inputs], outputs=list(outputs), device=device)
         return
-    kernel.module.load(wp.get_device(device))  # compile once, before threads race for it
+    kernel.module.load(wp.get_device(device), 1)  # compile once (CPU launches have block_dim 1), before threads race
     size = max(min_chunk, -(-count // (threads * chunks_per_thread)))
     starts = range(0, count, size)
     ticket = counter()
 
     def drain() -> None:
+        # Packing the arguments costs more than the call: do it once per thread, then only move the range.
+        command = wp.launch(
+            kernel, dim=size, inputs=[0, *inputs], outputs=list(outputs), device=device, record_cmd=True
+        )
         while (index := next(ticket)) < len(starts):
             first = starts[index]
-            dim = min(size, count - first)
-            wp.launch(kernel, dim=dim, inputs=[first, *inputs], outputs=list(outputs), device=device)
+            command.set_param_at_index(0, first)
+            command.set_dim(min(size, count - first))
+            command.launch()
 
     helpers = [_pool(threads - 1).submit(drain) for _ in range(threads - 1)]
     drain()
