@@ -36,8 +36,9 @@ def chosen(views: tuple[HeldOutView, ...]) -> list[int]:
         return list(range(len(views)))
     scores = np.array([view.psnr for view in views])
     ends = {int(scores.argmin()), int(scores.argmax())}
-    spaced = np.linspace(0, len(views) - 1, MAX_SHOWN - len(ends)).round().astype(int).tolist()
-    return sorted(ends | set(spaced))
+    others = [k for k in range(len(views)) if k not in ends]
+    spaced = np.linspace(0, len(others) - 1, MAX_SHOWN - len(ends)).round().astype(int)
+    return sorted(ends | {others[k] for k in spaced})
 
 
 def _introduction(tests: HeldOutFigures, shown: int) -> str:
