@@ -61,7 +61,7 @@ class ViewSampler:
 
     def _draw_epoch(self, epoch: int) -> np.ndarray:
         count = len(self._views)
-        offset = (np.random.Generator(np.random.Philox(key=[self._seed, 2**64 - 1])).random() + epoch * _GOLDEN) % 1.0
+        offset = (self._generator(2**64 - 1).random() + epoch * _GOLDEN) % 1.0
         summed = np.cumsum(self._probability)
         teeth = (np.arange(count) + offset) * (summed[-1] / count)
         chosen = np.minimum(np.searchsorted(summed, teeth, side="right"), count - 1)
@@ -75,4 +75,4 @@ class ViewSampler:
                 return int(self._views[drawn])
 
     def _generator(self, counter: int) -> np.random.Generator:
-        return np.random.Generator(np.random.Philox(key=[self._seed, counter]))
+        return np.random.Generator(np.random.Philox(key=np.array([self._seed, counter], np.uint64)))

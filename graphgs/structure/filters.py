@@ -12,10 +12,10 @@ from graphgs.structure.pair_set import check_centers, check_pairs, check_rotatio
 from graphgs.structure.quadrants import ACCEPTED, octant_codes, world_codes
 
 FilterMode = Literal["paper-strict", "paper-loose", "octant", "frustum"]
-FieldOfView = (
-    float | tuple[float, float] | np.ndarray
-)  # full angle(s); (h, v); or an array [N] or [N, 2]; NaN = unknown
-DepthRange = tuple[float, float] | np.ndarray  # near and far, world units; or an array [N, 2]
+# Full angle, one or (horizontal, vertical) for all cameras, or an array [N] or [N, 2]; NaN = unknown.
+FieldOfView = float | tuple[float, float] | np.ndarray
+# Near and far in world units, for all cameras or as an array [N, 2].
+DepthRange = tuple[float, float] | np.ndarray
 
 
 def filter_pairs(

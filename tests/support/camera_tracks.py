@@ -2,6 +2,7 @@
 z ahead; lengths in metres."""
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 
 def look(directions: np.ndarray, down: tuple[float, float, float] = (0.0, 1.0, 0.0)) -> np.ndarray:
@@ -17,19 +18,7 @@ def heading(yaw: np.ndarray) -> np.ndarray:
 
 
 def random_rotations(n: int, seed: int) -> np.ndarray:
-    q = np.random.default_rng(seed).normal(size=(n, 4))
-    w, x, y, z = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
-    return np.moveaxis(
-        np.array(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-            ]
-        ),
-        2,
-        0,
-    )
+    return Rotation.from_quat(np.random.default_rng(seed).normal(size=(n, 4))).as_matrix()
 
 
 def random_box(n: int = 200, size: float = 20.0, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -76,3 +65,23 @@ def nadir_grid(side: int = 12, spacing: float = 3.0, height: float = 10.0) -> tu
     z, x = np.meshgrid(np.arange(side) * spacing, np.arange(side) * spacing, indexing="ij")
     centers = np.stack([x.ravel(), np.full(side * side, -height), z.ravel()], 1)
     return look(np.tile([0.0, 1.0, 0.0], (side * side, 1)), down=(0.0, 0.0, -1.0)), centers
+
+
+def moved(
+    rotations: np.ndarray, centers: np.ndarray, *, scale: float = 3.7, seed: int = 5
+) -> tuple[np.ndarray, np.ndarray]:
+    """The same cameras in another world: scaled, turned, shifted."""
+    turn = random_rotations(1, seed)[0]
+    shift = np.random.default_rng(seed).uniform(-50, 50, 3)
+    return rotations @ turn.T, scale * centers @ turn.T + shift
+
+
+def noisy(
+    rotations: np.ndarray, centers: np.ndarray, *, angle: float, offset: float, seed: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """The cameras turned about random axes by up to `angle` rad and shifted by up to `offset` along each axis."""
+    rng = np.random.default_rng(seed)
+    axis = rng.normal(size=(len(centers), 3))
+    axis *= rng.uniform(0, angle, (len(centers), 1)) / np.linalg.norm(axis, axis=1, keepdims=True)
+    turned = Rotation.from_rotvec(axis).as_matrix() @ rotations
+    return turned, centers + rng.uniform(-offset, offset, centers.shape)
