@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 
+ERROR_MAX = 0.25  # error at the bright end, white is 1; the same for every run, so that pictures can be compared
 IGNORED = (96, 96, 96)  # RGB of pixels a mask leaves out
 
 
@@ -10,12 +11,11 @@ def error_map(
     truth: np.ndarray,  # [H, W, 3] uint8
     render: np.ndarray,  # [H, W, 3] float in [0, 1]
     mask: np.ndarray | None = None,  # [H, W] bool, False = ignored
-    *,
-    error_max: float,  # error at the bright end of the scale; larger ones are as bright
 ) -> np.ndarray:
-    """[H, W, 3] uint8 RGB: mean over the channels of |render - truth|, from black (0) to pale yellow (`error_max`)."""
+    """[H, W, 3] uint8 RGB: mean over the channels of |render - truth|, from black (0) to pale yellow (`ERROR_MAX`
+    and more)."""
     error = np.abs(render - truth.astype(np.float32) / 255.0).mean(axis=2)
-    level = np.nan_to_num(error / error_max, nan=1.0).clip(0.0, 1.0)
+    level = np.nan_to_num(error / ERROR_MAX, nan=1.0).clip(0.0, 1.0)
     colored = _inferno((level * 255.0 + 0.5).astype(np.uint8))
     if mask is not None:
         colored[~mask] = IGNORED

@@ -15,6 +15,7 @@ from graphgs.scene.camera import Camera
 from graphgs.scene.colmap import write_model
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.scene.views import Views
+from graphgs.sources.photos import Photos
 
 JPEG = [cv2.IMWRITE_JPEG_QUALITY, 98, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
 TO_CONVERGENCE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)
@@ -24,13 +25,14 @@ def write_colmap(
     folder: Path,
     views: Views,
     reconstruction: Reconstruction,
+    photos: Photos
+    | None = None,  # what the views were made from; None leaves original/ at the size they were decoded to
     *,
-    original_sizes: Mapping[str, tuple[int, int]] | None = None,  # photo -> width, height as photographed, upright
     threads: int = 1,
     reporter: Reporter | None = None,
 ) -> None:
-    """Write images/ + sparse/0 (undistorted, PINHOLE) and original/ (the estimated cameras, distortion included, at the
-    photos' own size where it is given). `folder` is replaced as a whole.
+    """Write images/ + sparse/0 (undistorted, PINHOLE) and original/ (the estimated cameras with their distortion, for
+    the upright photos at their own size). `folder` is replaced as a whole.
 
     A photo keeps its name when it is a .jpg, .jpeg or .png; to any other ".png" is appended. Raises DataError when a
     view is not part of the reconstruction.
@@ -38,8 +40,10 @@ def write_colmap(
     partial = folder.with_name(folder.name + ".partial")
     shutil.rmtree(partial, ignore_errors=True)
     names = file_names(views.names)
+    decoded = () if photos is None else photos.photos
+    original_sizes = {photo.name: (photo.original_width, photo.original_height) for photo in decoded}
     write_model(undistorted_model(views, reconstruction), partial / "sparse" / "0", names=names)
-    write_model(original_model(reconstruction, original_sizes or {}), partial / "original")
+    write_model(original_model(reconstruction, original_sizes), partial / "original")
     _write_images(partial / "images", names, views, threads, reporter or Reporter())
     if folder.exists():
         shutil.rmtree(folder)

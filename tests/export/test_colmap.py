@@ -17,6 +17,7 @@ from graphgs.scene.camera import Camera
 from graphgs.scene.colmap import read_model
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.scene.views import Views
+from graphgs.sources.photos import Photo, Photos
 
 NAMES = ("a.jpg", "b.tif", "left/c.JPEG", "left/d.png")
 OPENCV = Camera("OPENCV", 160, 120, (130.0, 131.0, 80.5, 59.0, -0.18, 0.05, 0.002, -0.001))
@@ -135,7 +136,8 @@ def test_errors_are_those_of_the_views_pixels(tmp_path):
 
 def test_original_sizes_scale_cameras_and_observations(tmp_path):
     views, reconstruction = scene(tmp_path)
-    write_colmap(tmp_path / "colmap", views, reconstruction, original_sizes={"a.jpg": (640, 480)})
+    first = Photo("a.jpg", "a.png", 160, 120, 640, 480, None, None, "k", "", None, None)
+    write_colmap(tmp_path / "colmap", views, reconstruction, Photos(tmp_path, (first,)))
     model = read_model(tmp_path / "colmap" / "original")
     assert model.camera_of(0) == OPENCV.scaled_to(640, 480)
     assert model.camera_of(1) == OPENCV

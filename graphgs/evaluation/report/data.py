@@ -94,7 +94,6 @@ class HeldOutFigures:
     ssim: float | None
     lpips: float | None = None  # None = not measured
     missing: tuple[str, ...] = ()  # test photos that could not be placed
-    error_max: float = 0.25  # absolute colour error at the bright end of the error pictures
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from graphgs.evaluation.error_map import color_stops
+from graphgs.evaluation.error_map import ERROR_MAX, color_stops
 from graphgs.evaluation.report import numbers
 from graphgs.evaluation.report.data import HeldOutFigures, HeldOutView
 from graphgs.evaluation.report.html import Markup, element, join, table
@@ -23,7 +23,7 @@ def section(tests: HeldOutFigures) -> Markup:
     portrait = all(p is None or p[2] > p[1] for _, trio in pictures for p in trio)
     return join(
         element("p", _introduction(tests, len(shown)), class_="lead"),
-        _error_scale(tests.error_max),
+        _error_scale(),
         element("div", [_trio(v, trio) for v, trio in pictures], class_="views portrait" if portrait else "views"),
         _all_figures(tests.views) if len(shown) < len(tests.views) else None,
         missing,
@@ -64,11 +64,11 @@ def _shot(view: HeldOutView, kind: str, picture: tuple[str, int, int] | None) ->
     return element("button", image, element("small", label), type="button", class_="shot", data_kind=label)
 
 
-def _error_scale(error_max: float) -> Markup:
+def _error_scale() -> Markup:
     stops = ", ".join(f"rgb({r} {g} {b})" for r, g, b in color_stops(9))
     ramp = element("span", class_="ramp", style=f"background: linear-gradient(to right, {stops})")
     words = "Error: mean over the channels of |rendering − photo|, where white is 1"
-    top = f"{error_max:.3g} and more"
+    top = f"{ERROR_MAX:.3g} and more"
     return element("p", words, element("span", "0"), ramp, element("span", top), class_="note scale")
 
 
