@@ -212,7 +212,7 @@ def _to_rgb(image: Image.Image) -> tuple[np.ndarray, np.ndarray | None]:
         image = image.convert("LA") if image.mode == "La" else image
         rgba = np.asarray(image.convert("RGBA"))
         return rgba[..., :3], None if rgba[..., 3].min() == 255 else rgba[..., 3]
-    return np.asarray(image.convert("RGB")), None
+    return np.asarray(image if image.mode == "RGB" else image.convert("RGB")), None  # no copy: it may be 200 megapixels
 
 
 def _fit(pixels: np.ndarray, width: int, height: int, orientation: int) -> np.ndarray:
