@@ -232,6 +232,16 @@ def test_a_missing_picture_is_said(tmp_path):
     assert page.text.count("picture not found") == 2
 
 
+@pytest.mark.parametrize(("width", "layout"), [(18, "portrait"), (36, "landscape"), (80, "panorama")])
+def test_the_layout_follows_the_shape_of_the_pictures(tmp_path, width, layout):
+    figures = held_out(tmp_path, 2)
+    for view in figures.views:
+        for path in (view.truth, view.render, view.error):
+            cv2.imwrite(str(path), np.zeros((24, width, 3), np.uint8))
+    _, text = written(tmp_path, report(tmp_path, tests=figures))
+    assert f'class="views {layout}"' in text
+
+
 def test_pictures_are_made_small(tmp_path):
     _, text = written(tmp_path, report(tmp_path, tests=held_out(tmp_path, 1, side=1100)))
     assert 'width="960" height="480"' in text

@@ -20,11 +20,10 @@ def section(tests: HeldOutFigures) -> Markup:
         return join(element("p", words, class_="empty"), missing)
     shown = chosen(tests.views)
     pictures = [(tests.views[k], [data_uri(getattr(tests.views[k], kind)) for kind in KINDS]) for k in shown]
-    portrait = all(p is None or p[2] > p[1] for _, trio in pictures for p in trio)
     return join(
         element("p", _introduction(tests, len(shown)), class_="lead"),
         _error_scale(),
-        element("div", [_trio(v, trio) for v, trio in pictures], class_="views portrait" if portrait else "views"),
+        element("div", [_trio(v, trio) for v, trio in pictures], class_=f"views {_layout(pictures)}"),
         _all_figures(tests.views) if len(shown) < len(tests.views) else None,
         missing,
     )
@@ -39,6 +38,13 @@ def chosen(views: tuple[HeldOutView, ...]) -> list[int]:
     others = [k for k in range(len(views)) if k not in ends]
     spaced = np.linspace(0, len(others) - 1, MAX_SHOWN - len(ends)).round().astype(int)
     return sorted(ends | {others[k] for k in spaced})
+
+
+def _layout(pictures: list[tuple[HeldOutView, list[tuple[str, int, int] | None]]]) -> str:
+    """Upright and panoramic pictures go two views to a row; the panels of a panorama stand below each other."""
+    aspects = [picture[1] / picture[2] for _, trio in pictures for picture in trio if picture is not None]
+    typical = float(np.median(aspects)) if aspects else 1.5
+    return "portrait" if typical < 1 else "panorama" if typical > 2 else "landscape"
 
 
 def _introduction(tests: HeldOutFigures, shown: int) -> str:

@@ -42,7 +42,7 @@ def key_figures(data: ReportData) -> Markup:
         element("div", element("dt", label), element("dd", value, class_="value"), element("dd", note, class_="note"))
         for label, value, note in filter(None, figures)
     ]
-    return element("dl", tiles, class_="key")
+    return element("dl", tiles, class_="key four" if len(tiles) == 4 else "key")
 
 
 def warnings(data: ReportData) -> Markup | None:
