@@ -8,7 +8,7 @@ from torch import Tensor
 
 from graphgs.graph import CameraGraph
 from graphgs.losses import consistency_loss
-from graphgs.rendering.rasterize import RenderOutput
+from graphgs.rendering import RenderOutput
 from graphgs.scene.views import Views
 from graphgs.training.config import TrainConfig
 

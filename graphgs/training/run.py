@@ -123,12 +123,11 @@ class _Run:
         self._tick()
         loss = math.fsum(torch.stack(self._unread).tolist()) / len(self._unread)
         self._unread.clear()
-        stats.steps_executed, stats.num_splats = trainer.done, len(trainer.parameters)
         seconds = round(stats.seconds, 3)
-        entry = {"step": trainer.done, "loss": loss, "num_splats": stats.num_splats, "seconds": seconds}
+        entry = {"step": trainer.done, "loss": loss, "num_splats": len(trainer.parameters), "seconds": seconds}
         previous = stats.curve[-1]["seconds"] if stats.curve else 0.0
         stats.curve.append(entry)
-        self._reporter.progress(trainer.done, trainer.config.steps, f"loss {loss:.4f}, {stats.num_splats} Gaussians")
+        self._reporter.progress(trainer.done, trainer.config.steps, f"loss {loss:.4f}, {entry['num_splats']} Gaussians")
         if trainer.done % CHECK_INTERVAL == 0:
             step_ms = 1e3 * (seconds - previous) / READ_INTERVAL
             self._reporter.event("train", **entry, step_ms=round(step_ms, 2))
@@ -154,6 +153,7 @@ class _Run:
     def _save(self, name: str) -> None:
         self._tick()
         trainer = self._trainer
+        self.stats.steps_executed, self.stats.num_splats = trainer.done, len(trainer.parameters)
         losses = torch.stack(self._unread).tolist() if self._unread else []
         extra = {"stats": dataclasses.asdict(self.stats), "unread": losses, "recoveries": trainer.recoveries}
         save_checkpoint(Checkpoint(trainer.done, trainer.state(), extra, self._fingerprint), self._scratch, name)

@@ -6,7 +6,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from graphgs.rendering.rasterize import RenderOutput
+from graphgs.rendering import RenderOutput
 from graphgs.training.config import TrainConfig
 from graphgs.training.parameters import Parameters
 from graphgs.training.schedule import Schedule

@@ -7,7 +7,7 @@ from torch import Tensor
 from graphgs.graph import CameraGraph
 from graphgs.graph.sampler import ViewSampler
 from graphgs.losses import photometric_loss
-from graphgs.rendering.rasterize import RenderOutput, rasterize
+from graphgs.rendering import RenderOutput, rasterize
 from graphgs.rendering.splats import Splats
 from graphgs.scene.views import Views
 from graphgs.training.config import TrainConfig
@@ -47,7 +47,8 @@ class Trainer:
         self._extent = extent
         self._Ks = torch.as_tensor(views.Ks, dtype=torch.float32, device=device)
         self._viewmats = torch.as_tensor(views.viewmats, dtype=torch.float32, device=device)
-        self._index = np.array([views.names.index(name) if name in views.names else -1 for name in graph.names])
+        index = {name: k for k, name in enumerate(views.names)}
+        self._view_of_node = np.array([index.get(name, -1) for name in graph.names])
         self._sampler = ViewSampler(graph, seed=seed, mode=config.sampling)
         self._images = TrainingImages(
             views, budget_bytes=config.image_cache_bytes, view_of_step=self.view_of_step, device=device
@@ -58,7 +59,7 @@ class Trainer:
 
     def view_of_step(self, step: int) -> int:
         """The training view of an executed step."""
-        view = int(self._index[self._sampler.view(step)])
+        view = int(self._view_of_node[self._sampler.view(step)])
         if view < 0 or self.views.is_test[view]:
             raise ValueError(f"graph: step {step} drew a view that is not a training view")
         return view
