@@ -12,9 +12,8 @@ def check_images(**images: Tensor) -> None:
             raise ValueError(f"{name}: expected [C, H, W, 3], got {list(image.shape)}")
         check_real(**{name: image})
         if (image.dtype, image.device) != (first.dtype, first.device):
-            raise ValueError(
-                f"{name}: expected {first.dtype} on {first.device} like {first_name}, got {image.dtype} on {image.device}"
-            )
+            wanted, got = f"{first.dtype} on {first.device}", f"{image.dtype} on {image.device}"
+            raise ValueError(f"{name}: expected {wanted} like {first_name}, got {got}")
 
 
 def check_real(**tensors: Tensor) -> None:

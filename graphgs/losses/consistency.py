@@ -1,8 +1,8 @@
 """Multi-view consistency: view i, warped by its depth, against view j, in two forms.
 
-`graphgs` (the default of the product): back-project by the rendered depth, transform, project, sample, and compare where
-both views see the same surface. `paper` is the printed term, |I_i(p) - I_j(K_j (R K_i^-1 p + T))|: no depth, so a ray of
-depth 1 and a translation in the units of the reconstruction, right only for surfaces at depth 1.
+`graphgs` (the product's default): back-project by the rendered depth, transform, project, sample, and compare where
+both views see the same surface. `paper` is the printed term, |I_i(p) - I_j(K_j (R K_i^-1 p + T))|: it has no depth, so
+it follows a ray of depth 1 and a translation in the reconstruction's units, and is right only for surfaces at depth 1.
 """
 
 from dataclasses import dataclass
@@ -49,8 +49,8 @@ def consistency_loss(
     """Mean over the matched pixels (of all pairs, and over channels) of the colour difference; 0 where nothing matches.
 
     `graphgs`: robust L1 (Charbonnier, quadratic below 1e-3) over the pixels `reproject` calls valid; differentiable in
-    `image_i` and, through the sampled colour, in `depth_i`. Every other pixel has a gradient of exactly zero. Depths and
-    translation in any common unit give the same loss.
+    `image_i` and, through the sampled colour, in `depth_i`. Every other pixel has a gradient of exactly zero. Depths
+    and translation in any common unit give the same loss.
     `paper`: the printed geometry with plain L1, over the pixels that land inside image j; differentiable in `image_i`.
     The paper prints a sum over pixels, which would depend on the resolution; this is its mean.
     """

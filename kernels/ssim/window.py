@@ -1,4 +1,4 @@
-"""The maths of SSIM (Wang et al. 2004): the Gaussian window, and the index of one pixel with its partial derivatives."""
+"""The maths of SSIM (Wang et al. 2004): the Gaussian window, and one pixel's index with its partial derivatives."""
 
 from typing import Any
 
