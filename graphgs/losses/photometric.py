@@ -67,35 +67,37 @@ class _CompareImages(torch.autograd.Function):
         else:
             a = torch.where(kept, a, b)
             weights = kept.to(a.dtype).expand_as(a).contiguous()
-        slopes = torch.empty((4, *a.shape), dtype=a.dtype, device=a.device)
-        sums = torch.empty(2, dtype=torch.float64, device=a.device)
-        with torch_stream(a.device):
-            compare_images(_pair(a, b, weights), scalars(slopes), scalars(sums), threads=get_num_threads())
-        ctx.save_for_backward(a, b, weights, slopes)
+        sums, slopes_a = _compare(a, b, weights)
+        # The kernels differentiate in their first image only: training needs no more, and pays for no more.
+        slopes_b = _compare(b, a, weights)[1] if ctx.needs_input_grad[1] else None
+        ctx.save_for_backward(a, b, weights, slopes_a, slopes_b)
         return sums
 
     @staticmethod
     @once_differentiable
     def backward(ctx, v_sums: Tensor):
-        a, b, weights, slopes = ctx.saved_tensors
-        v_sums = v_sums.to(a.dtype)
-        v_images = []
-        with torch_stream(a.device):
-            for exchanged in (False, True):
-                if not ctx.needs_input_grad[exchanged]:
-                    v_images.append(None)
-                    continue
-                v_image = torch.empty_like(a)
-                compare_images_gradient(
-                    _pair(b, a, weights) if exchanged else _pair(a, b, weights),
-                    scalars(slopes),
-                    scalars(v_sums),
-                    scalars(v_image),
-                    exchanged=exchanged,
-                    threads=get_num_threads(),
-                )
-                v_images.append(v_image)
-        return *v_images, None
+        a, b, weights, slopes_a, slopes_b = ctx.saved_tensors
+        v_a = _gradient(a, b, weights, slopes_a, v_sums) if ctx.needs_input_grad[0] else None
+        v_b = _gradient(b, a, weights, slopes_b, v_sums) if ctx.needs_input_grad[1] else None
+        return v_a, v_b, None
+
+
+def _compare(a: Tensor, b: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
+    sums = torch.empty(2, dtype=torch.float64, device=a.device)
+    slopes = torch.empty((3, *a.shape), dtype=a.dtype, device=a.device)
+    with torch_stream(a.device):
+        compare_images(_pair(a, b, weights), scalars(slopes), scalars(sums), threads=get_num_threads())
+    return sums, slopes
+
+
+def _gradient(a: Tensor, b: Tensor, weights: Tensor, slopes: Tensor, v_sums: Tensor) -> Tensor:
+    v_a = torch.empty_like(a)
+    v_sums = v_sums.to(a.dtype)
+    with torch_stream(a.device):
+        compare_images_gradient(
+            _pair(a, b, weights), scalars(slopes), scalars(v_sums), scalars(v_a), threads=get_num_threads()
+        )
+    return v_a
 
 
 def _pair(a: Tensor, b: Tensor, weights: Tensor) -> ImagePair:

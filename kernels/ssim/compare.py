@@ -35,16 +35,13 @@ class ImagePair:
     def rows(self) -> int:
         return self.a.shape[0] // (3 * self.width)
 
-    def exchanged(self) -> "ImagePair":
-        return ImagePair(self.b, self.a, self.kept, self.height, self.width)
-
     def _inputs(self) -> list:
         return [self.a, self.b, self.kept, self.height, self.width]
 
 
 def compare_images(
     images: ImagePair,
-    slopes: wp.array,  # out, [4 C H W 3] for `compare_images_gradient`
+    slopes: wp.array,  # out, [3 C H W 3] for `compare_images_gradient`
     sums: wp.array,  # out, [2] float64: |a - b|, SSIM
     *,
     threads: int = 1,
@@ -80,18 +77,18 @@ def compare_images(
 
 def compare_images_gradient(
     images: ImagePair,  # the gradient is that of `a`
-    slopes: wp.array,  # [4 C H W 3] from `compare_images`
+    slopes: wp.array,  # [3 C H W 3] from `compare_images`
     v_sums: wp.array,  # [2] gradient of the two sums
     v_a: wp.array,  # out, [C H W 3]
     *,
-    exchanged: bool = False,  # `slopes` were computed with a and b the other way round
     threads: int = 1,
 ) -> None:
+    """The gradient in `a`. For the one in `b`, exchange the images here and in `compare_images`."""
     by_rows = images.shape_is_rows
     launch_range(
         compare_rows_gradient if by_rows else compare_pixels_gradient,
         images.rows if by_rows else images.a.shape[0],
-        inputs=[*images._inputs(), slopes, int(exchanged), v_sums],
+        inputs=[*images._inputs(), slopes, v_sums],
         outputs=[v_a],
         device=images.a.device,
         threads=threads,

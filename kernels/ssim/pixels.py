@@ -34,7 +34,7 @@ def compare_pixels(
     height: int,
     width: int,
     # Out
-    slopes: wp.array[Any],  # [4 C H W 3] derivatives of kept SSIM in its four windowed means
+    slopes: wp.array[Any],  # [3 C H W 3] derivatives of kept SSIM in the windowed means of a, a^2 + b^2, a b
     errors: wp.array[Any],  # [C H W 3] kept |a - b|
     similarities: wp.array[Any],  # [C H W 3] kept SSIM
 ):
@@ -55,13 +55,12 @@ def compare_pixels(
                 mean_b += weight * b[at]
                 squares += weight * (a[at] * a[at] + b[at] * b[at])
                 products += weight * (a[at] * b[at])
-    value, d_mean_a, d_mean_b, d_squares, d_products = ssim_terms(mean_a, mean_b, squares, products)
+    value, d_mean, d_squares, d_products = ssim_terms(mean_a, mean_b, squares, products)
     count = a.shape[0]
     keep = kept[index]
-    slopes[index] = keep * d_mean_a
-    slopes[count + index] = keep * d_mean_b
-    slopes[2 * count + index] = keep * d_squares
-    slopes[3 * count + index] = keep * d_products
+    slopes[index] = keep * d_mean
+    slopes[count + index] = keep * d_squares
+    slopes[2 * count + index] = keep * d_products
     errors[index] = keep * wp.abs(a[index] - b[index])
     similarities[index] = keep * value
 
@@ -75,8 +74,7 @@ def compare_pixels_gradient(
     kept: wp.array[Any],  # 1 or 0
     height: int,
     width: int,
-    slopes: wp.array[Any],  # [4 C H W 3] from `compare_pixels`
-    mean_plane: int,  # the plane of `slopes` for the mean of `a`: 0, or 1 when the images are exchanged
+    slopes: wp.array[Any],  # [3 C H W 3] from `compare_pixels`
     v_sums: wp.array[Any],  # [2] gradient of the sum of errors, of the sum of similarities
     # Out
     v_a: wp.array[Any],  # [C H W 3]
@@ -94,9 +92,9 @@ def compare_pixels_gradient(
             if qy >= 0 and qy < height and qx >= 0 and qx < width:
                 at = ((row + v - REACH) * width + qx) * 3 + channel
                 weight = a.dtype(TAPS[v] * TAPS[u])
-                v_mean += weight * slopes[mean_plane * count + at]
-                v_squares += weight * slopes[2 * count + at]
-                v_products += weight * slopes[3 * count + at]
+                v_mean += weight * slopes[at]
+                v_squares += weight * slopes[count + at]
+                v_products += weight * slopes[2 * count + at]
     v_similarity = v_mean + a.dtype(2.0) * a[index] * v_squares + b[index] * v_products
     v_a[index] = kept[index] * (v_sums[0] * l1_slope(a[index], b[index]) + v_sums[1] * v_similarity)
 
@@ -104,4 +102,4 @@ def compare_pixels_gradient(
 for _real in (wp.float32, wp.float64):
     _values = wp.array(dtype=_real, ndim=1)
     wp.overload(compare_pixels, [int, *[_values] * 3, int, int, *[_values] * 3])
-    wp.overload(compare_pixels_gradient, [int, *[_values] * 3, int, int, _values, int, *[_values] * 2])
+    wp.overload(compare_pixels_gradient, [int, *[_values] * 3, int, int, *[_values] * 3])

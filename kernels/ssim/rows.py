@@ -82,7 +82,7 @@ def compare_rows(
     height: int,
     width: int,
     # Out
-    slopes: wp.array[float],  # [4 C H W 3] derivatives of kept SSIM in its four windowed means
+    slopes: wp.array[float],  # [3 C H W 3] derivatives of kept SSIM in the windowed means of a, a^2 + b^2, a b
     row_sums: wp.array[wp.float64],  # [2 C H] kept |a - b| by row, then kept SSIM by row
 ):
     row = first + wp.tid()
@@ -130,23 +130,21 @@ def compare_rows(
         means = wp.zeros(shape=BLOCKS, dtype=float)
         smooth_along_row(span, means)
 
-        # The four planes of slopes, then the two sums
+        # The planes of slopes, then the two sums
         here = wp.max(row * length + left, 0)
         plane_1 = wp.max(here + count, 0)
         plane_2 = wp.max(here + 2 * count, 0)
-        plane_3 = wp.max(here + 3 * count, 0)
         similarity = wp.zeros(shape=BLOCK, dtype=float)
         error = wp.zeros(shape=BLOCK, dtype=float)
         k = int(0)
         while k < right - left:
-            value, d_mean_a, d_mean_b, d_squares, d_products = ssim_terms(
+            value, d_mean, d_squares, d_products = ssim_terms(
                 means[k], means[k + BLOCK], means[k + 2 * BLOCK], means[k + 3 * BLOCK]
             )
             keep = kept[here + k]
-            slopes[here + k] = keep * d_mean_a
-            slopes[plane_1 + k] = keep * d_mean_b
-            slopes[plane_2 + k] = keep * d_squares
-            slopes[plane_3 + k] = keep * d_products
+            slopes[here + k] = keep * d_mean
+            slopes[plane_1 + k] = keep * d_squares
+            slopes[plane_2 + k] = keep * d_products
             similarity[k] = keep * value
             error[k] = keep * wp.abs(a[here + k] - b[here + k])
             k = k + 1
@@ -175,8 +173,7 @@ def compare_rows_gradient(
     kept: wp.array[float],  # 1 or 0
     height: int,
     width: int,
-    slopes: wp.array[float],  # [4 C H W 3] from `compare_rows`
-    mean_plane: int,  # the plane of `slopes` for the mean of `a`: 0, or 1 when the images are exchanged
+    slopes: wp.array[float],  # [3 C H W 3] from `compare_rows`
     v_sums: wp.array[float],  # [2] gradient of the sum of errors, of the sum of similarities
     # Out
     v_a: wp.array[float],  # [C H W 3]
@@ -197,7 +194,7 @@ def compare_rows_gradient(
         span = wp.zeros(shape=SPANS, dtype=float)
         begin = wp.max(lo - left + HALO, 0)
         for plane in range(3):
-            offset = wp.where(plane == 0, mean_plane, plane + 1) * count
+            offset = plane * count
             target = wp.max(plane * SPAN + begin, 0)
             for group in range(3):
                 t = 4 * group

@@ -25,7 +25,7 @@ def ssim_terms(
     squares: Any,  # of a^2 + b^2: SSIM needs the two variances only as a sum
     products: Any,  # of a b
 ):
-    """SSIM of the pixel, then its derivatives in `mean_a`, `mean_b`, `squares` and `products`."""
+    """SSIM of the pixel, then its derivatives in `mean_a`, `squares` and `products`."""
     two = type(mean_a)(2.0)
     c1 = type(mean_a)(C1)
     c2 = type(mean_a)(C2)
@@ -39,9 +39,7 @@ def ssim_terms(
     value = luminance * structure * inverse
     own = two * value * (inv_variance - inv_energy)
     other = two * (structure - luminance) * inverse
-    d_mean_a = mean_a * own + mean_b * other
-    d_mean_b = mean_b * own + mean_a * other
-    return value, d_mean_a, d_mean_b, -value * inv_variance, two * luminance * inverse
+    return value, mean_a * own + mean_b * other, -value * inv_variance, two * luminance * inverse
 
 
 @wp.func

@@ -30,29 +30,26 @@ def outputs(*counts, dtype=float):  # poisoned: what a kernel forgets to write s
 def test_rows_agree_with_pixels(operands):
     count = operands[0].shape[0]
     inputs = [*operands, HEIGHT, WIDTH]
-    slopes_rows, slopes_pixels, errors, similarities = outputs(4 * count, 4 * count, count, count)
+    slopes_rows, slopes_pixels, errors, similarities = outputs(3 * count, 3 * count, count, count)
     (row_sums,) = outputs(2 * CAMERAS * HEIGHT, dtype=wp.float64)
     launch_range(rows.compare_rows, CAMERAS * HEIGHT, inputs=inputs, outputs=[slopes_rows, row_sums], device="cpu")
     launch_range(
         pixels.compare_pixels, count, inputs=inputs, outputs=[slopes_pixels, errors, similarities], device="cpu"
     )
-    # the derivatives in the means reach 1e3 where the variance is near 0, so compare in the norm
+    # single derivatives grow large where the variance is near 0, so compare in the norm
     difference = np.linalg.norm(slopes_rows.numpy() - slopes_pixels.numpy())
     assert difference < 1e-4 * np.linalg.norm(slopes_pixels.numpy())
     sums = [x.numpy().reshape(CAMERAS * HEIGHT, -1).sum(axis=1) for x in (errors, similarities)]
     np.testing.assert_allclose(row_sums.numpy().reshape(2, -1), sums, rtol=1e-5, atol=1e-4)
 
     v_sums = wp.array([0.7, -0.4], dtype=float, device="cpu")
-    for mean_plane in (0, 1):
-        v_rows, v_pixels = outputs(count, count)
-        gradient_inputs = [*inputs, slopes_pixels, mean_plane, v_sums]
-        launch_range(
-            rows.compare_rows_gradient, CAMERAS * HEIGHT, inputs=gradient_inputs, outputs=[v_rows], device="cpu"
-        )
-        launch_range(pixels.compare_pixels_gradient, count, inputs=gradient_inputs, outputs=[v_pixels], device="cpu")
-        difference = np.linalg.norm(v_rows.numpy() - v_pixels.numpy())
-        assert difference < 1e-5 * np.linalg.norm(v_pixels.numpy())
-        assert np.all(v_rows.numpy()[operands[2].numpy() == 0] == 0)
+    v_rows, v_pixels = outputs(count, count)
+    gradient_inputs = [*inputs, slopes_pixels, v_sums]
+    launch_range(rows.compare_rows_gradient, CAMERAS * HEIGHT, inputs=gradient_inputs, outputs=[v_rows], device="cpu")
+    launch_range(pixels.compare_pixels_gradient, count, inputs=gradient_inputs, outputs=[v_pixels], device="cpu")
+    difference = np.linalg.norm(v_rows.numpy() - v_pixels.numpy())
+    assert difference < 1e-5 * np.linalg.norm(v_pixels.numpy())
+    assert np.all(v_rows.numpy()[operands[2].numpy() == 0] == 0)
 
 
 @pytest.mark.parametrize("module", [pixels, reduce])
