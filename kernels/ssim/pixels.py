@@ -1,6 +1,13 @@
 """SSIM and L1, the plain shape: one thread per pixel and channel, a direct 11 x 11 window. Any float type, any device.
 
-The CPU runs the rows of `rows.py` instead; both call the maths of `window.py`.
+float32 on the CPU runs `rows.py` instead; both call the maths of `window.py`.
+
+The adjoint: SSIM at p is a function S_p of the means mu_a, mu_b, mu_(a^2 + b^2), mu_ab in the window w around p, so the
+sum of kept_p S_p has, at pixel q, the derivative in a
+
+    sum_p w(p - q) kept_p (dS_p/dmu_a + 2 a_q dS_p/dmu_(a^2 + b^2) + b_q dS_p/dmu_ab)
+
+The forward pass writes the three derivatives ("slopes", times kept); as w is symmetric, the backward pass blurs them.
 """
 
 from typing import Any
