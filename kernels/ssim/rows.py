@@ -11,18 +11,13 @@ What the vectoriser needs, as its own remarks (-Rpass-analysis=loop-vectorize) s
 - buffers on the stack (`wp.zeros` in a kernel), which cannot overlap the arguments.
 """
 
-import platform
-
 import numpy as np
 import warp as wp
 
+from graphgs.kernels.fastmath import vector_flags
 from graphgs.kernels.ssim.window import RADIUS, TAPS, l1_slope, ssim_terms
 
-# LLVM stays at 256 bits unless told otherwise; 512 took 5.0 ms where 256 took 7.1 (forward, 270x480, one thread)
-_flags = "-march=native" if wp.config.cpu_compiler_flags is None else wp.config.cpu_compiler_flags
-if platform.machine() in ("x86_64", "AMD64"):
-    _flags += " -mprefer-vector-width=512"
-wp.set_module_options({"enable_backward": False, "max_unroll": 0, "cpu_compiler_flags": _flags})
+wp.set_module_options({"enable_backward": False, "max_unroll": 0, "cpu_compiler_flags": vector_flags()})
 
 BLOCK = wp.constant(240)  # values of a row handled at a time: 80 px, 15 vectors
 HALO = wp.constant(16)  # 15 values are needed; with 16 the inner loops have no remainder to do one by one
