@@ -54,7 +54,8 @@ def launch_range(
     helpers = [_pool(threads - 1).submit(drain) for _ in range(threads - 1)]
     drain()
     for helper in helpers:
-        helper.result()
+        if not helper.cancel():  # one that has not begun has nothing left to do: do not wait for it to wake up
+            helper.result()
 
 
 def _pool(workers: int) -> ThreadPoolExecutor:

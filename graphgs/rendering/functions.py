@@ -17,6 +17,7 @@ from graphgs.kernels.rasterize.ordered_sum import ordered_sum
 from graphgs.kernels.rasterize.pixels import composite_pixels, composite_pixels_backward
 from graphgs.kernels.rasterize.project import Cameras, Gaussians, project, project_backward
 from graphgs.kernels.rasterize.shade import shade, shade_backward
+from graphgs.kernels.rasterize.tiles import composite_tiles, composite_tiles_backward
 from graphgs.rendering.bridge import matrices, scalars, torch_stream, vectors
 from graphgs.threads import get_num_threads
 
@@ -179,7 +180,9 @@ class Composite(Function):
         ctx.frame = Frame(cameras, width, height, vectors(backgrounds))
         image = _image(render_colors, render_alphas, render_depths)
         with torch_stream(means2d.device):
-            ctx.state = composite_pixels(ctx.splats, ctx.frame, image, threads=get_num_threads())
+            composite = composite_tiles if shape == "tiles" else composite_pixels
+            ctx.state = composite(ctx.splats, ctx.frame, image, threads=get_num_threads())
+        ctx.shape = shape
         ctx.save_for_backward(means2d, conics, depths, opacities, colors, backgrounds, radii, render_alphas)
         return render_colors, render_alphas, render_depths
 
@@ -190,7 +193,8 @@ class Composite(Function):
         v_tensors = [torch.zeros_like(tensor) for tensor in (means2d, conics, depths, opacities, colors)]
         v_image = _image(*(v.contiguous() for v in (v_render_colors, v_render_alphas, v_render_depths)))
         with torch_stream(means2d.device):
-            composite_pixels_backward(ctx.splats, ctx.frame, ctx.state, v_image, _splats(*v_tensors))
+            backward = composite_tiles_backward if ctx.shape == "tiles" else composite_pixels_backward
+            backward(ctx.splats, ctx.frame, ctx.state, v_image, _splats(*v_tensors), threads=get_num_threads())
         v_backgrounds = None
         if ctx.needs_input_grad[5]:
             v_backgrounds = _sum_rows(((1 - render_alphas) * v_render_colors).flatten(1, 2))

@@ -72,7 +72,11 @@ def rasterize(
 
 
 def _choose_shape(means: Tensor, shape: Shape | None) -> Shape:
-    return "pixels"
+    if shape is None:
+        return "tiles" if means.device.type == "cpu" and means.dtype == torch.float32 else "pixels"
+    if shape == "tiles" and (means.device.type != "cpu" or means.dtype != torch.float32):
+        raise ValueError(f"shape: 'tiles' expects float32 on the CPU, got {means.dtype} on {means.device}")
+    return shape
 
 
 def _check(

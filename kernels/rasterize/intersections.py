@@ -6,6 +6,7 @@ Equal depths keep the order of the Gaussians: the sort is stable.
 from dataclasses import dataclass
 
 import warp as wp
+
 from graphgs.kernels.rasterize.constants import TILE_SIZE
 
 wp.set_module_options({"enable_backward": False})

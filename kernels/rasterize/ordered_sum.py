@@ -3,6 +3,7 @@
 from functools import cache
 
 import warp as wp
+
 from graphgs.kernels.launch import launch_range
 
 CHUNK = wp.constant(512)  # rows added up by one thread; fixed, so that the order never depends on the thread count

@@ -9,6 +9,7 @@ from functools import cache
 from typing import Any
 
 import warp as wp
+
 from graphgs.kernels.launch import launch_range
 from graphgs.kernels.rasterize.alpha import sigma_at
 from graphgs.kernels.rasterize.buffers import Frame, Image, Splats
@@ -208,9 +209,9 @@ def composite_pixels(splats: Splats, frame: Frame, image: Image, *, threads: int
 
 
 def composite_pixels_backward(
-    splats: Splats, frame: Frame, state: PixelsState, v_image: Image, v_splats: Splats
+    splats: Splats, frame: Frame, state: PixelsState, v_image: Image, v_splats: Splats, *, threads: int = 1
 ) -> None:
-    """Add to `v_splats`, which must be zero before."""
+    """Add to `v_splats`, which must be zero before. One thread, whatever `threads` says: see above."""
     launch_range(
         pixels_backward_kernel(splats.depths.dtype),
         v_image.alphas.size,

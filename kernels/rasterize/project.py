@@ -5,6 +5,7 @@ from functools import cache
 from typing import Any
 
 import warp as wp
+
 from graphgs.kernels.gaussian import (
     blur,
     blur_compensation,

@@ -6,6 +6,7 @@ colour = max(0, sum_k basis_k(direction) coefficients_k + 0.5), direction from t
 from functools import cache
 
 import warp as wp
+
 from graphgs.kernels.launch import launch_range
 from graphgs.kernels.sh import sh_basis, sh_sum
 
