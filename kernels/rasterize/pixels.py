@@ -11,7 +11,6 @@ from typing import Any
 import warp as wp
 
 from graphgs.kernels.launch import launch_range
-from graphgs.kernels.rasterize.alpha import sigma_at
 from graphgs.kernels.rasterize.buffers import Frame, Image, Splats
 from graphgs.kernels.rasterize.constants import ALPHA_MAX, ALPHA_MIN, TILE_SIZE, TRANSMITTANCE_MIN
 from graphgs.kernels.rasterize.intersections import Intersections, intersect_tiles
@@ -30,8 +29,9 @@ def find_pixel(index: int, width: int, height: int):
 
 @wp.func
 def falloff_at(offset: Any, conic: Any):
-    """exp(-sigma) at an offset from the mean [px]."""
-    return wp.exp(-sigma_at(offset[0], offset[1], conic[0], conic[1], conic[2]))
+    """exp(-sigma) at an offset from the mean [px]; sigma is half the squared Mahalanobis distance."""
+    dx, dy = offset[0], offset[1]
+    return wp.exp(-(offset.dtype(0.5) * (conic[0] * dx * dx + conic[2] * dy * dy) + conic[1] * dx * dy))
 
 
 @cache

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from graphgs.kernels.fastmath import vector_flags
+from graphgs.kernels.cpu_flags import vector_flags
 from graphgs.kernels.rasterize.blocks import (
     BLOCK,
     BLUE,
