@@ -45,10 +45,10 @@ def build_nodes(
 ) -> Nodes:
     """The octree over all points, with the level of detail that `prune_octree` explains."""
     os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "False")  # a greeting on stdout when imported
-    from graphgs.kernels.octree import DEPTH, SparseOctree
+    from graphgs.kernels.octree import DEPTH, sparse_octree
 
     with redirect_stdout(io.StringIO()):  # another one when started
-        octree = SparseOctree(threads=threads)
+        octree = sparse_octree(threads=threads)
     cells = (coordinates >> (BITS - DEPTH)).astype(np.int32)
     with octree as tree:
         nodes = tree.insert(cells)

@@ -5,6 +5,8 @@ No postponed annotations in this file: they break Taichi kernels.
 """
 
 from dataclasses import dataclass
+from functools import cache
+from threading import Lock
 
 import numpy as np
 import taichi as ti
@@ -29,27 +31,29 @@ class NodeSums:
 
 @ti.data_oriented
 class SparseOctree:
-    """Owns its SNode tree; `close()` (or leaving a `with`) destroys it."""
+    """Owns an SNode tree. Use it in a `with`, from one thread at a time: leaving it empties the tree.
 
-    def __init__(self, *, threads: int):
-        ensure_started(threads)
+    Get it from `sparse_octree`, which makes one per process. Taichi 1.7.4 corrupts its heap after a few dozen trees of
+    pointer nodes, destroyed or not (a dozen on two threads), so the tree is emptied and kept. Its cells' memory is
+    reused, and so are its compiled kernels.
+    """
+
+    def __init__(self):
+        self._lock = Lock()
         self.node = ti.field(ti.i32)  # index of a cell's node
         builder = ti.FieldsBuilder()
-        levels = builder.pointer(ti.ijkl, (DEPTH + 1, *(LAYERS[0],) * 3))
-        blocks = levels.pointer(ti.ijkl, (1, *(LAYERS[1],) * 3))
+        self._levels = builder.pointer(ti.ijkl, (DEPTH + 1, *(LAYERS[0],) * 3))
+        blocks = self._levels.pointer(ti.ijkl, (1, *(LAYERS[1],) * 3))
         blocks.bitmasked(ti.ijkl, (1, *(LAYERS[2],) * 3)).place(self.node)
-        self._tree = builder.finalize()
+        builder.finalize()
 
     def __enter__(self):
+        self._lock.acquire()
         return self
 
     def __exit__(self, *_):
-        self.close()
-
-    def close(self) -> None:
-        if self._tree is not None:
-            self._tree.destroy()
-            self._tree = None
+        self._levels.deactivate_all()
+        self._lock.release()
 
     def insert(
         self,
@@ -134,3 +138,14 @@ class SparseOctree:
                 for axis in ti.static(range(3)):
                     ti.atomic_min(lows[n, axis], coordinates[p, axis])
                     ti.atomic_max(highs[n, axis], coordinates[p, axis])
+
+
+def sparse_octree(*, threads: int) -> SparseOctree:
+    """The tree of this process; `threads` counts for the first call that starts Taichi."""
+    ensure_started(threads)
+    return _only_tree()
+
+
+@cache
+def _only_tree() -> SparseOctree:
+    return SparseOctree()
