@@ -1,6 +1,7 @@
 """The three differentiable steps of rendering as torch functions: project, shade, composite.
 
-They are thin: detach, wrap, launch, return. Arguments are checked at the public edge, in `rasterize`.
+They are thin: detach, wrap, launch, return. What was wrapped once is kept in `ctx`, beside the saved tensors that torch
+guards against changes in place. Arguments are checked at the public edge, in `rasterize`.
 """
 
 from dataclasses import dataclass
@@ -56,18 +57,23 @@ class Project(Function):
         depths = means.new_empty(size)
         splat_opacities = means.new_empty(size)
         radii = means.new_empty(*size, 2, dtype=torch.int32)
+        ctx.gaussians = _gaussians(means, quats, scales, opacities)
+        ctx.cameras = Cameras(matrices(viewmats), vectors(pinholes), options.width, options.height)
+        ctx.radii = vectors(radii)
+        splats = _splats(means2d, conics, depths, splat_opacities)
         with torch_stream(means.device):
             project(
-                _gaussians(means, quats, scales, opacities),
-                _cameras(viewmats, pinholes, options),
-                _splats(means2d, conics, depths, splat_opacities, radii=radii),
+                ctx.gaussians,
+                ctx.cameras,
+                splats,
+                ctx.radii,
                 near=options.near,
                 far=options.far,
                 eps2d=options.eps2d,
                 antialiased=options.antialiased,
                 threads=get_num_threads(),
             )
-        ctx.save_for_backward(means, quats, scales, opacities, viewmats, pinholes, radii)
+        ctx.save_for_backward(means, quats, scales, opacities, viewmats)
         ctx.options = options
         ctx.mark_non_differentiable(radii)
         return means2d, conics, depths, splat_opacities, radii
@@ -75,8 +81,7 @@ class Project(Function):
     @staticmethod
     @once_differentiable
     def backward(ctx, v_means2d, v_conics, v_depths, v_splat_opacities, _):
-        means, quats, scales, opacities, viewmats, pinholes, radii = ctx.saved_tensors
-        options: ProjectOptions = ctx.options
+        means, quats, scales, opacities, viewmats = ctx.saved_tensors
         v_means, v_quats = torch.empty_like(means), torch.empty_like(quats)
         v_scales, v_opacities = torch.empty_like(scales), torch.empty_like(opacities)
         cameras = viewmats.shape[0]
@@ -84,14 +89,14 @@ class Project(Function):
         v_poses = means.new_empty(cameras, means.shape[0] if pose_wanted else 0, 12)
         with torch_stream(means.device):
             project_backward(
-                _gaussians(means, quats, scales, opacities),
-                _cameras(viewmats, pinholes, options),
-                vectors(radii),
+                ctx.gaussians,
+                ctx.cameras,
+                ctx.radii,
                 _splats(*(v.contiguous() for v in (v_means2d, v_conics, v_depths, v_splat_opacities))),
                 _gaussians(v_means, v_quats, v_scales, v_opacities),
                 vectors(v_poses),
-                eps2d=options.eps2d,
-                antialiased=options.antialiased,
+                eps2d=ctx.options.eps2d,
+                antialiased=ctx.options.antialiased,
                 threads=get_num_threads(),
             )
         v_viewmats = None
@@ -116,34 +121,23 @@ class Shade(Function):
         degree: int,
     ) -> Tensor:
         colors = means.new_empty(*radii.shape[:2], 3)
+        ctx.arrays = [vectors(means), vectors(sh_coeffs, axes=2), vectors(centers), vectors(radii), vectors(colors)]
         with torch_stream(means.device):
-            shade(
-                vectors(means),
-                vectors(sh_coeffs, axes=2),
-                vectors(centers),
-                vectors(radii),
-                vectors(colors),
-                degree=degree,
-                threads=get_num_threads(),
-            )
-        ctx.save_for_backward(means, sh_coeffs, centers, radii, colors)
+            shade(*ctx.arrays, degree=degree, threads=get_num_threads())
+        ctx.save_for_backward(means, sh_coeffs, centers, colors)
         ctx.degree = degree
         return colors
 
     @staticmethod
     @once_differentiable
     def backward(ctx, v_colors):
-        means, sh_coeffs, centers, radii, colors = ctx.saved_tensors
+        means, sh_coeffs, centers, _ = ctx.saved_tensors
         v_means, v_sh_coeffs = torch.empty_like(means), torch.empty_like(sh_coeffs)
         center_wanted = ctx.needs_input_grad[2]
         v_directions = means.new_empty(centers.shape[0], means.shape[0] if center_wanted else 0, 3)
         with torch_stream(means.device):
             shade_backward(
-                vectors(means),
-                vectors(sh_coeffs, axes=2),
-                vectors(centers),
-                vectors(radii),
-                vectors(colors),
+                *ctx.arrays,
                 vectors(v_colors.contiguous()),
                 vectors(v_means),
                 vectors(v_sh_coeffs, axes=2),
@@ -176,20 +170,20 @@ class Composite(Function):
         render_colors = means2d.new_empty(cameras, height, width, 3)
         render_alphas = means2d.new_empty(cameras, height, width, 1)
         render_depths = means2d.new_empty(cameras, height, width, 1)
-        ctx.splats = _splats(means2d, conics, depths, opacities, colors, radii)
+        ctx.splats = _splats(means2d, conics, depths, opacities, colors)
         ctx.frame = Frame(cameras, width, height, vectors(backgrounds))
         image = _image(render_colors, render_alphas, render_depths)
         with torch_stream(means2d.device):
             composite = composite_tiles if shape == "tiles" else composite_pixels
-            ctx.state = composite(ctx.splats, ctx.frame, image, threads=get_num_threads())
+            ctx.state = composite(ctx.splats, vectors(radii), ctx.frame, image, threads=get_num_threads())
         ctx.shape = shape
-        ctx.save_for_backward(means2d, conics, depths, opacities, colors, backgrounds, radii, render_alphas)
+        ctx.save_for_backward(means2d, conics, depths, opacities, colors, backgrounds, render_alphas)
         return render_colors, render_alphas, render_depths
 
     @staticmethod
     @once_differentiable
     def backward(ctx, v_render_colors, v_render_alphas, v_render_depths):
-        means2d, conics, depths, opacities, colors, *_, render_alphas = ctx.saved_tensors
+        means2d, conics, depths, opacities, colors, _, render_alphas = ctx.saved_tensors
         v_tensors = [torch.zeros_like(tensor) for tensor in (means2d, conics, depths, opacities, colors)]
         v_image = _image(*(v.contiguous() for v in (v_render_colors, v_render_alphas, v_render_depths)))
         with torch_stream(means2d.device):
@@ -213,17 +207,12 @@ def _gaussians(means: Tensor, quats: Tensor, scales: Tensor, opacities: Tensor) 
     return Gaussians(vectors(means), vectors(quats), vectors(scales), scalars(opacities))
 
 
-def _cameras(viewmats: Tensor, pinholes: Tensor, options: ProjectOptions) -> Cameras:
-    return Cameras(matrices(viewmats), vectors(pinholes), options.width, options.height)
-
-
 def _splats(
     means2d: Tensor,
     conics: Tensor,
     depths: Tensor,
     opacities: Tensor,
     colors: Tensor | None = None,
-    radii: Tensor | None = None,
 ) -> Splats:
     return Splats(
         vectors(means2d),
@@ -231,7 +220,6 @@ def _splats(
         scalars(depths),
         scalars(opacities),
         None if colors is None else vectors(colors),
-        None if radii is None else vectors(radii),
     )
 
 

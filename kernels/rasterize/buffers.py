@@ -7,14 +7,13 @@ import warp as wp
 
 @dataclass(frozen=True)
 class Splats:
-    """Projected Gaussians. The same type holds their gradients, which have no radii; projection knows no colours."""
+    """Projected Gaussians, or their gradients. Projection itself knows no colours."""
 
     means2d: wp.array  # [C * N] vec2 [px]
     conics: wp.array  # [C * N] vec3 [px^-2]
     depths: wp.array  # [C * N]
     opacities: wp.array  # [C * N]
     colors: wp.array | None = None  # [C * N] vec3
-    radii: wp.array | None = None  # [C * N] vec2i [px], 0 = not visible
 
 
 @dataclass(frozen=True)

@@ -185,12 +185,19 @@ def _narrow(array: wp.array) -> wp.array:
     return narrow
 
 
-def composite_pixels(splats: Splats, frame: Frame, image: Image, *, threads: int = 1) -> PixelsState:
+def composite_pixels(
+    splats: Splats,
+    radii: wp.array,  # [C * N] vec2i [px], 0 = not visible
+    frame: Frame,
+    image: Image,
+    *,
+    threads: int = 1,
+) -> PixelsState:
     """Fill `image`."""
     device = splats.depths.device
     intersections = intersect_tiles(
         _narrow(splats.means2d),
-        splats.radii,
+        radii,
         _narrow(splats.depths),
         cameras=frame.cameras,
         width=frame.width,

@@ -134,6 +134,7 @@ def project(
     gaussians: Gaussians,
     cameras: Cameras,
     splats: Splats,  # filled, all but the colours
+    radii: wp.array,  # [C * N] vec2i, filled
     *,
     near: float,
     far: float,
@@ -158,7 +159,7 @@ def project(
             eps2d,
             antialiased,
         ],
-        outputs=[splats.means2d, splats.conics, splats.depths, splats.opacities, splats.radii],
+        outputs=[splats.means2d, splats.conics, splats.depths, splats.opacities, radii],
         device=gaussians.means.device,
         threads=threads,
     )

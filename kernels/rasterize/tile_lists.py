@@ -152,10 +152,10 @@ def fill_chunk(
                 slot += 1
 
 
-def list_tiles(splats: Splats, frame: Frame, *, threads: int = 1) -> TileLists:
+def list_tiles(splats: Splats, radii: wp.array, frame: Frame, *, threads: int = 1) -> TileLists:
     size = int(TILE_SIZE)
     rows, columns = -(-frame.height // size), -(-frame.width // size)
-    order = _front_to_back(splats, frame.cameras)
+    order = _front_to_back(splats.depths.numpy(), radii.numpy(), frame.cameras)
     splat_ids = _view(order)
     records = wp.empty(order.size * int(RECORD), dtype=float, device="cpu")
     launch_range(
@@ -202,10 +202,10 @@ def list_tiles(splats: Splats, frame: Frame, *, threads: int = 1) -> TileLists:
     return TileLists(splat_ids, records, ranks, slots, _view(tile_starts), _view(slot_starts))
 
 
-def _front_to_back(splats: Splats, cameras: int) -> np.ndarray:
+def _front_to_back(depths: np.ndarray, radii: np.ndarray, cameras: int) -> np.ndarray:
     """Visible splats, camera by camera, by depth; equal depths by index. [M] int32"""
-    depths = splats.depths.numpy().reshape(cameras, -1)
-    visible = splats.radii.numpy().reshape(cameras, -1, 2)[..., 0] > 0
+    depths = depths.reshape(cameras, -1)
+    visible = radii[:, 0].reshape(cameras, -1) > 0
     order = []
     for c in range(cameras):
         ids = np.flatnonzero(visible[c])

@@ -25,9 +25,16 @@ class TilesState:
     tile_stops: wp.array  # [C * tiles] int
 
 
-def composite_tiles(splats: Splats, frame: Frame, image: Image, *, threads: int = 1) -> TilesState:
+def composite_tiles(
+    splats: Splats,
+    radii: wp.array,  # [C * N] vec2i [px], 0 = not visible
+    frame: Frame,
+    image: Image,
+    *,
+    threads: int = 1,
+) -> TilesState:
     """Fill `image`."""
-    lists = list_tiles(splats, frame, threads=threads)
+    lists = list_tiles(splats, radii, frame, threads=threads)
     tiles = lists.tile_starts.size - 1
     sums = wp.empty(image.alphas.size, dtype=wp.vec4, device="cpu")
     block_masks = wp.empty(lists.ranks.size, dtype=int, device="cpu")

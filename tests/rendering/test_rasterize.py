@@ -31,7 +31,7 @@ def pull_back(outputs, v_outputs, leaves) -> dict[str, torch.Tensor]:
     return {k: torch.zeros_like(v) if v.grad is None else v.grad for k, v in leaves.items()}
 
 
-@pytest.mark.parametrize("dtype, shape", [("float64", "pixels"), ("float32", "pixels"), ("float32", "tiles")])
+@pytest.mark.parametrize(("dtype", "shape"), [("float64", "pixels"), ("float32", "pixels"), ("float32", "tiles")])
 @pytest.mark.parametrize("name", SCENES)
 def test_values_and_gradients_equal_the_twin(name, dtype, shape, device):
     if shape == "tiles" and device != "cpu":

@@ -37,7 +37,7 @@ def test_compiles_for_sm_86(name, tmp_path):
     assert cubin.stat().st_size > 1000
 
 
-@pytest.mark.parametrize("name, registers", [("pixels_forward", 64), ("pixels_backward", 96)])
+@pytest.mark.parametrize(("name", "registers"), [("pixels_forward", 64), ("pixels_backward", 96)])
 def test_keeps_its_state_in_registers(name, registers, tmp_path):
     tool = cuobjdump()
     if tool is None:

@@ -39,7 +39,8 @@ def run(splats: dict[str, np.ndarray], threads: int):
     types = {"means2d": wp.vec2, "conics": wp.vec3, "colors": wp.vec3, "radii": wp.vec2i}
     arrays = {k: wp.from_numpy(v, dtype=types.get(k, wp.float32), device="cpu") for k, v in splats.items()}
     backgrounds = wp.zeros(CAMERAS, dtype=wp.vec3, device="cpu")
-    return list_tiles(Splats(**arrays), Frame(CAMERAS, WIDTH, HEIGHT, backgrounds), threads=threads)
+    radii = arrays.pop("radii")
+    return list_tiles(Splats(**arrays), radii, Frame(CAMERAS, WIDTH, HEIGHT, backgrounds), threads=threads)
 
 
 def alpha_over_pixels(splats: dict[str, np.ndarray], s: int) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""The rasterizer written for reading: every Gaussian over every pixel, one after the other; torch derives the gradient."""
+"""The rasterizer written for reading: every Gaussian over every pixel, in turn; torch derives the gradient."""
 
 import torch
 from torch import Tensor
