@@ -1,7 +1,7 @@
 """`rasterize`, forward and backward, projection and spherical harmonics included, at 270 x 480.
 
-The yardstick is the plain shape, one thread per pixel on one CPU thread: it stays as it is and is timed in the same run,
-so the ratio says what the fast shape gains on any machine, busy or not.
+The yardstick is the plain shape, one thread per pixel on one CPU thread: it stays as it is and is timed in the same
+run, so the ratio says what the fast shape gains on any machine, busy or not.
 """
 
 from dataclasses import dataclass

@@ -5,17 +5,35 @@ kernel that wants this takes `first: int` as its FIRST argument and computes its
 must write only memory of its own: then the result does not depend on the number of threads.
 """
 
+import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import count as counter
 
 import warp as wp
 
-wp.config.log_level = wp.LOG_ERROR  # no banner, no line per compiled module, no warning that there is no GPU
-wp.init()
-wp.config.log_level = wp.LOG_WARNING
-
 _pools: dict[int, ThreadPoolExecutor] = {}
+
+
+def _start_warp() -> None:
+    """Initialise Warp without its banner, and without the line "could not find the CUDA driver", which its C++ part
+    writes to file descriptor 2 on every machine that has no GPU and which no setting turns off."""
+    wp.config.log_level = wp.LOG_WARNING  # no line per compiled module either
+    try:
+        terminal = os.dup(2)
+    except OSError:  # no stderr to keep clean
+        wp.init()
+        return
+    with open(os.devnull, "w") as nowhere:
+        os.dup2(nowhere.fileno(), 2)
+    try:
+        wp.init()
+    finally:
+        os.dup2(terminal, 2)
+        os.close(terminal)
+
+
+_start_warp()
 
 
 def launch_range(
