@@ -14,7 +14,7 @@ What the vectoriser needs, as its own remarks (-Rpass-analysis=loop-vectorize) s
 import numpy as np
 import warp as wp
 
-from graphgs.kernels.fastmath import vector_flags
+from graphgs.kernels.cpu_flags import vector_flags
 from graphgs.kernels.ssim.window import RADIUS, TAPS, l1_slope, ssim_terms
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 0, "cpu_compiler_flags": vector_flags()})
