@@ -2,6 +2,7 @@
 
 from contextlib import AbstractContextManager, nullcontext
 
+import numpy as np
 import torch
 import warp as wp
 from torch import Tensor
@@ -31,6 +32,14 @@ def scalars(tensor: Tensor) -> wp.array:  # [...] contiguous -> 1-D
 
 def matrices(tensor: Tensor) -> wp.array:  # [C, 4, 4] contiguous -> [C] of mat44
     return wp.from_torch(tensor.detach(), dtype=wp.types.matrix(tuple(tensor.shape[-2:]), real_type(tensor)))
+
+
+def zeros(shape: tuple[int, ...], like: Tensor) -> Tensor:
+    """`like.new_zeros(shape)`, on one thread. On the CPU torch wakes its thread pool for anything large, and pool
+    threads spin for milliseconds afterwards, on the cores that the next kernel wants."""
+    if like.device.type != "cpu":
+        return like.new_zeros(shape)
+    return torch.from_numpy(np.zeros(shape, dtype=np.float64 if like.dtype == torch.float64 else np.float32))
 
 
 def torch_stream(device: torch.device) -> AbstractContextManager:

@@ -19,7 +19,7 @@ from graphgs.kernels.rasterize.pixels import composite_pixels, composite_pixels_
 from graphgs.kernels.rasterize.project import Cameras, Gaussians, project, project_backward
 from graphgs.kernels.rasterize.shade import shade, shade_backward
 from graphgs.kernels.rasterize.tiles import composite_tiles, composite_tiles_backward
-from graphgs.rendering.bridge import matrices, scalars, torch_stream, vectors
+from graphgs.rendering.bridge import matrices, scalars, torch_stream, vectors, zeros
 from graphgs.threads import get_num_threads
 
 Shape = Literal["pixels", "tiles"]
@@ -76,6 +76,7 @@ class Project(Function):
         ctx.save_for_backward(means, quats, scales, opacities, viewmats)
         ctx.options = options
         ctx.mark_non_differentiable(radii)
+        ctx.set_materialize_grads(False)
         return means2d, conics, depths, splat_opacities, radii
 
     @staticmethod
@@ -84,15 +85,20 @@ class Project(Function):
         means, quats, scales, opacities, viewmats = ctx.saved_tensors
         v_means, v_quats = torch.empty_like(means), torch.empty_like(quats)
         v_scales, v_opacities = torch.empty_like(scales), torch.empty_like(opacities)
-        cameras = viewmats.shape[0]
+        size = (viewmats.shape[0], means.shape[0])
         pose_wanted = ctx.needs_input_grad[4]
-        v_poses = means.new_empty(cameras, means.shape[0] if pose_wanted else 0, 12)
+        v_poses = means.new_empty(size[0], size[1] if pose_wanted else 0, 12)
         with torch_stream(means.device):
             project_backward(
                 ctx.gaussians,
                 ctx.cameras,
                 ctx.radii,
-                _splats(*(v.contiguous() for v in (v_means2d, v_conics, v_depths, v_splat_opacities))),
+                _splats(
+                    _dense(v_means2d, (*size, 2), means),
+                    _dense(v_conics, (*size, 3), means),
+                    _dense(v_depths, size, means),
+                    _dense(v_splat_opacities, size, means),
+                ),
                 _gaussians(v_means, v_quats, v_scales, v_opacities),
                 vectors(v_poses),
                 eps2d=ctx.options.eps2d,
@@ -103,7 +109,7 @@ class Project(Function):
         if pose_wanted:
             v_pose = _sum_rows(v_poses)
             v_viewmats = torch.zeros_like(viewmats)
-            v_viewmats[:, :3, :3] = v_pose[:, :9].reshape(cameras, 3, 3)
+            v_viewmats[:, :3, :3] = v_pose[:, :9].reshape(-1, 3, 3)
             v_viewmats[:, :3, 3] = v_pose[:, 9:]
         return v_means, v_quats, v_scales, v_opacities, v_viewmats, None, None
 
@@ -177,6 +183,7 @@ class Composite(Function):
             composite = composite_tiles if shape == "tiles" else composite_pixels
             ctx.state = composite(ctx.splats, vectors(radii), ctx.frame, image, threads=get_num_threads())
         ctx.shape = shape
+        ctx.set_materialize_grads(False)
         ctx.save_for_backward(means2d, conics, depths, opacities, colors, backgrounds, render_alphas)
         return render_colors, render_alphas, render_depths
 
@@ -184,8 +191,11 @@ class Composite(Function):
     @once_differentiable
     def backward(ctx, v_render_colors, v_render_alphas, v_render_depths):
         means2d, conics, depths, opacities, colors, _, render_alphas = ctx.saved_tensors
-        v_tensors = [torch.zeros_like(tensor) for tensor in (means2d, conics, depths, opacities, colors)]
-        v_image = _image(*(v.contiguous() for v in (v_render_colors, v_render_alphas, v_render_depths)))
+        v_tensors = [zeros(tensor.shape, means2d) for tensor in (means2d, conics, depths, opacities, colors)]
+        v_render_colors = _dense(v_render_colors, (*render_alphas.shape[:3], 3), means2d)
+        v_render_alphas = _dense(v_render_alphas, render_alphas.shape, means2d)
+        v_render_depths = _dense(v_render_depths, render_alphas.shape, means2d)
+        v_image = _image(v_render_colors, v_render_alphas, v_render_depths)
         with torch_stream(means2d.device):
             backward = composite_tiles_backward if ctx.shape == "tiles" else composite_pixels_backward
             backward(ctx.splats, ctx.frame, ctx.state, v_image, _splats(*v_tensors), threads=get_num_threads())
@@ -201,6 +211,11 @@ def _sum_rows(
     """Sum over M in an order that does not depend on the number of threads, which torch's sum does not promise."""
     with torch_stream(rows.device):
         return wp.to_torch(ordered_sum(vectors(rows.contiguous(), axes=2), threads=get_num_threads())).squeeze(1)
+
+
+def _dense(gradient: Tensor | None, shape: tuple[int, ...], like: Tensor) -> Tensor:
+    """A gradient as kernels read it; None stands for 0."""
+    return zeros(shape, like) if gradient is None else gradient.contiguous()
 
 
 def _gaussians(means: Tensor, quats: Tensor, scales: Tensor, opacities: Tensor) -> Gaussians:

@@ -162,6 +162,8 @@ def project(
         outputs=[splats.means2d, splats.conics, splats.depths, splats.opacities, radii],
         device=gaussians.means.device,
         threads=threads,
+        min_chunk=1024,
+        chunks_per_thread=4,
     )
 
 
@@ -295,4 +297,6 @@ def project_backward(
         outputs=[v_gaussians.means, v_gaussians.quats, v_gaussians.scales, v_gaussians.opacities, v_poses],
         device=gaussians.means.device,
         threads=threads,
+        min_chunk=1024,
+        chunks_per_thread=4,
     )

@@ -59,6 +59,8 @@ def shade(
         outputs=[colors],
         device=means.device,
         threads=threads,
+        min_chunk=1024,
+        chunks_per_thread=4,
     )
 
 
@@ -135,4 +137,6 @@ def shade_backward(
         outputs=[v_means, v_sh_coeffs, v_directions],
         device=means.device,
         threads=threads,
+        min_chunk=1024,
+        chunks_per_thread=4,
     )

@@ -165,6 +165,7 @@ def list_tiles(splats: Splats, radii: wp.array, frame: Frame, *, threads: int = 
         outputs=[records],
         device="cpu",
         threads=threads,
+        min_chunk=4096,
         chunks_per_thread=2,
     )
 

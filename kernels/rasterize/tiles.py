@@ -88,5 +88,6 @@ def composite_tiles_backward(
         outputs=[v_splats.means2d, v_splats.conics, v_splats.depths, v_splats.opacities, v_splats.colors],
         device="cpu",
         threads=threads,
+        min_chunk=2048,
         chunks_per_thread=2,
     )
