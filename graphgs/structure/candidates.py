@@ -14,8 +14,8 @@ _DEPTH_PERCENTILES = (2.0, 98.0)  # of a camera's points: outliers must not stre
 _FEWEST_POINTS = 20  # a camera with fewer takes the depths of all cameras
 
 
-def candidate_pairs(config: PairingConfig, photos, prior: Prior, *, reporter: Reporter, threads: int) -> Pairs:
-    """Concentric, filtered pairs of the placed photos; look-alikes and neighbours in file order for those without a pose."""
+def candidate_pairs(config: PairingConfig, prior: Prior, *, reporter: Reporter, threads: int) -> Pairs:
+    """Concentric, filtered pairs of the placed photos; look-alikes and file neighbours of those without a pose."""
     names = np.array(prior.names, dtype=object)
     placed, unplaced = np.flatnonzero(prior.placed), np.flatnonzero(~prior.placed)
     if prior.source == "sequence":

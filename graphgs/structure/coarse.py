@@ -5,6 +5,7 @@ and look-alike pairs, incremental mapping with loose thresholds). When it places
 another seed, then with more pixels and features.
 """
 
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,10 +14,21 @@ import numpy as np
 from graphgs.errors import DataError
 from graphgs.progress import Reporter
 from graphgs.scene.reconstruction import Reconstruction
+from graphgs.sources.photos import Photos
+from graphgs.structure.cameras import (
+    SharedCameras,
+    refined_by,
+    rescaled,
+    shared_cameras,
+    with_cameras,
+    with_second_term,
+)
 from graphgs.structure.colmap import ColmapWorker
 from graphgs.structure.config import StructureConfig
-from graphgs.structure.database import build_features, by_photo_names, shared_cameras
-from graphgs.structure.prior import Prior, prior_from_reconstruction
+from graphgs.structure.database import by_photo_names, create_database
+from graphgs.structure.features import extract_features, load_descriptors
+from graphgs.structure.focal import FocalVote, vote_focal
+from graphgs.structure.prior import Prior, poses_by_name
 from graphgs.structure.retrieval import similar_photos
 
 # Looser than COLMAP's defaults: features are few, and a wrong photo here costs pairs only.
@@ -36,8 +48,19 @@ _MAPPING = {
         "abs_pose_min_inlier_ratio": 0.15,
     },
 }
+_HELD = {
+    **_MAPPING,
+    "ba_refine_focal_length": False,
+    "ba_refine_extra_params": False,
+    "mapper": {
+        **_MAPPING["mapper"],
+        "abs_pose_refine_focal_length": False,
+        "abs_pose_refine_extra_params": False,
+    },
+}
 _RETRIEVAL_DEPTH = 20  # look-alikes kept per photo, for bridges later
 _ANOTHER_SEED = 1000  # offset
+_LARGEST_DRIFT = 1.6  # a focal length that mapping changed by more is a sign of a broken model
 
 
 @dataclass(frozen=True)
@@ -45,11 +68,28 @@ class _Attempt:
     max_side: int
     features: int
     seed: int
+    hold: bool  # keep the voted intrinsics, whatever the photos seem to say
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What an attempt brought."""
+
+    reconstruction: Reconstruction | None
+    cameras: SharedCameras  # that mapping started from
+    hold_intrinsics: bool
+    similar: np.ndarray  # [N, k] look-alikes
+    edges: np.ndarray  # [E, 2] verified
+    note: str
+
+    @property
+    def placed(self) -> int:
+        return 0 if self.reconstruction is None else len(self.reconstruction.names)
 
 
 def coarse_poses(
     config: StructureConfig,
-    photos,
+    photos: Photos,
     *,
     scratch: Path,
     reporter: Reporter,
@@ -58,62 +98,68 @@ def coarse_poses(
 ) -> Prior:
     """Our own coarse reconstruction of the photos. Raises DataError when not even three photos fit together."""
     attempts = (
-        _Attempt(config.coarse_max_side, config.coarse_features, seed),
-        _Attempt(config.coarse_max_side, config.coarse_features, seed + _ANOTHER_SEED),
-        _Attempt(config.coarse_retry_max_side, config.coarse_retry_features, seed),
+        _Attempt(config.coarse_max_side, config.coarse_features, seed, False),
+        _Attempt(config.coarse_max_side, config.coarse_features, seed + _ANOTHER_SEED, True),
+        _Attempt(config.coarse_retry_max_side, config.coarse_retry_features, seed, False),
     )
-    best: Reconstruction | None = None
-    similar = np.zeros((len(photos.photos), 0), np.int64)
-    best_attempt = attempts[0]
+    best: _Found | None = None
     with ColmapWorker(scratch) as worker:
         for attempt in attempts:
-            found, similar, edges = _reconstruct(config, photos, attempt, worker, scratch, reporter, threads)
-            if found is not None and (best is None or len(found.names) > len(best.names)):
-                best, best_attempt = found, attempt
-            if best is not None and len(best.names) >= config.min_registered * len(photos.photos):
+            found = _reconstruct(config, photos, attempt, worker, scratch, reporter, threads)
+            if best is None or found.placed > best.placed:
+                best = found
+            if best.placed >= config.min_registered * len(photos.photos):
                 break
         reporter.event("worker", stage="coarse", peak_rss_mb=round(worker.peak_rss_mb))
-    if best is None or len(best.names) < 3:
-        raise _hopeless(photos, edges)
-    note = (
-        f"own reconstruction at {best_attempt.max_side} px, {best_attempt.features} features: "
-        f"{len(best.names)} of {len(photos.photos)} photos placed"
+    if best.placed < 3:
+        raise _hopeless(photos, best.edges)
+    reporter.info(f"coarse poses: {best.note}")
+    cameras = refined_by(best.cameras, photos, best.reconstruction)
+    if not best.hold_intrinsics:
+        cameras = with_second_term(cameras)
+    reconstruction = with_cameras(best.reconstruction, cameras, photos.names)
+    placed, rotations, centers = poses_by_name(photos.names, reconstruction)
+    return Prior(
+        names=photos.names,
+        placed=placed,
+        rotations=rotations,
+        centers=centers,
+        cameras=cameras,
+        hold_intrinsics=best.hold_intrinsics,
+        source="auto",
+        note=best.note,
+        reconstruction=reconstruction,
+        similar=best.similar,
     )
-    reporter.info(f"coarse poses: {note}")
-    return prior_from_reconstruction(photos.names, best, source="auto", note=note, own=True, similar=similar)
 
 
 def _reconstruct(
     config: StructureConfig,
-    photos,
+    photos: Photos,
     attempt: _Attempt,
     worker: ColmapWorker,
     scratch: Path,
     reporter: Reporter,
     threads: int,
-) -> tuple[Reconstruction | None, np.ndarray, np.ndarray]:
-    """(reconstruction or None, look-alikes [N, k], verified edges [E, 2]) of one attempt; continues what a kill left."""
+) -> _Found:
+    """One attempt; continues what a kill left."""
     n = len(photos.photos)
     work = scratch / f"{attempt.max_side}_{attempt.features}"
-    work.mkdir(parents=True, exist_ok=True)
-    database = work / "database.db"
-    build_features(
-        worker,
-        database,
+    features, database = work / "features", work / "database.db"
+    extract_features(
         photos,
-        shared_cameras(photos),
+        features,
         max_side=attempt.max_side,
         max_features=attempt.features,
         first_octave=0,
-        scratch=scratch,
         threads=threads,
         progress=lambda done, total: reporter.progress(done, total, "coarse features"),
     )
-    worker.run("descriptors", database=database, out=work / "descriptors.npz")
-    with np.load(work / "descriptors.npz", allow_pickle=False) as arrays:
-        similar = similar_photos(
-            arrays["data"], arrays["offsets"], words=config.retrieval_words, neighbors=_RETRIEVAL_DEPTH, seed=0
-        )
+    similar = similar_photos(
+        *load_descriptors(photos, features), words=config.retrieval_words, neighbors=_RETRIEVAL_DEPTH, seed=0
+    )
+    cameras = shared_cameras(photos)
+    create_database(worker, database, photos, cameras, features)
     pairs = coarse_pairs(similar[:, : config.retrieval_neighbors], n, config.sequence_window)
     worker.run(
         "match",
@@ -129,24 +175,58 @@ def _reconstruct(
     worker.run("verified", database=database, out=work / "verified.npz")
     with np.load(work / "verified.npz", allow_pickle=False) as arrays:
         edges = arrays["edges"]
-    reporter.event("coarse_matches", pairs=len(pairs), verified=len(edges))
+    vote = _vote(worker, database, work, cameras)
+    hold = attempt.hold or not vote.decided
+    cameras = rescaled(cameras, vote.scale)
+    worker.run("set_cameras", database=database, cameras=cameras.records())
+    reporter.event("focal", scale=vote.scale, decided=vote.decided, pairs=vote.pairs)
     model = work / f"model_{attempt.seed}"
     if not model.exists():
         worker.run(
             "map_incrementally",
             progress=lambda done, total: reporter.progress(done, total, "coarse mapping"),
             database=database,
-            root=photos.folder,
             out=model,
             start=None,
-            options=_MAPPING,
+            options=_HELD if hold else _MAPPING,
             seed=attempt.seed,
             threads=threads,
         )
     found = by_photo_names(Reconstruction.load(model), photos) if model.exists() else None
+    if found is not None and _drift(found, cameras, photos) > _LARGEST_DRIFT:
+        reporter.event("coarse_drift", factor=_drift(found, cameras, photos))
+        found = None
     placed = 0 if found is None else len(found.names)
-    reporter.event("coarse_attempt", max_side=attempt.max_side, seed=attempt.seed, placed=placed, photos=n)
-    return found, similar, edges
+    reporter.event("coarse_attempt", **dataclasses.asdict(attempt), pairs=len(pairs), edges=len(edges), placed=placed)
+    note = f"own reconstruction at {attempt.max_side} px places {placed} of {n} photos"
+    if not vote.decided:
+        note += "; the photos do not determine the focal length, so it is held as given or typical"
+    return _Found(found, cameras, hold, similar, edges, note)
+
+
+def _vote(worker: ColmapWorker, database: Path, work: Path, cameras: SharedCameras) -> FocalVote:
+    """Among the photos that do not tell their focal length, if they have pairs enough; else among all."""
+    worker.run("fundamentals", database=database, out=work / "fundamentals.npz")
+    with np.load(work / "fundamentals.npz", allow_pickle=False) as arrays:
+        pairs, F, inliers = arrays["pairs"], arrays["F"], arrays["inliers"]
+    Ks = np.array([camera.K for camera in cameras.cameras])
+    camera = cameras.camera_ids[pairs]
+    guessed = ~np.array(cameras.known)[camera].any(1)
+    subsets = [guessed, np.ones(len(pairs), bool)] if guessed.any() else [np.ones(len(pairs), bool)]
+    for subset in subsets:
+        i, j = camera[subset].T
+        vote = vote_focal(F[subset], inliers[subset], Ks[i], Ks[j])
+        if vote.decided:
+            break
+    return vote
+
+
+def _drift(found: Reconstruction, start: SharedCameras, photos: Photos) -> float:
+    """The largest factor by which mapping changed a focal length."""
+    row = {name: k for k, name in enumerate(photos.names)}
+    before = np.array([start.cameras[start.camera_ids[row[name]]].params[0] for name in found.names])
+    after = np.array([found.camera_of(k).params[0] for k in range(len(found.names))])
+    return float(np.exp(np.abs(np.log(np.maximum(after, 1e-6) / before)).max()))
 
 
 def coarse_pairs(
@@ -167,7 +247,7 @@ def coarse_pairs(
     return np.unique(np.concatenate(parts), axis=0)
 
 
-def _hopeless(photos, edges: np.ndarray) -> DataError:
+def _hopeless(photos: Photos, edges: np.ndarray) -> DataError:
     n = len(photos.photos)
     if len(edges) == 0:
         return DataError(
@@ -176,5 +256,5 @@ def _hopeless(photos, edges: np.ndarray) -> DataError:
         )
     return DataError(
         f"{len(edges)} pairs of the {n} photos match, but no three photos could be placed together",
-        hint="photos must be taken from different places (not copies, not turned on the spot) and overlap by half or more",
+        hint="photos must be taken from different places (no copies, not turned on the spot) and overlap by half",
     )

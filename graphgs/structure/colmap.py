@@ -1,4 +1,4 @@
-"""The client of the COLMAP worker: starts it, sends jobs, relays progress, turns its death into an error with a cause."""
+"""The client of the COLMAP worker: starts it, sends jobs, relays progress, makes its death an error with a cause."""
 
 import json
 import os

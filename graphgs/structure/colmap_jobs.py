@@ -5,10 +5,12 @@ go to the database image by image and pair by pair, a model appears by one renam
 """
 
 import shutil
+import sqlite3
 import zlib  # noqa: F401  (zlib and numpy first: pycolmap bundles libraries of the same names)
 from collections.abc import Callable
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pycolmap
 
@@ -18,14 +20,68 @@ from graphgs.scene.reconstruction import Reconstruction
 Progress = Callable[[int, int], None]
 
 
+def extract(
+    root: str,
+    images: list[str],  # pixel files below root
+    masks: list[str | None],  # mask files below root; 0 = no features here
+    out: str,  # folder for <image>.npz: keypoints [F, 4] (x, y, scale, orientation; file px), descriptors [F, 128]
+    max_side: int,  # [px] images are reduced to it first
+    max_features: int,
+    first_octave: int,
+    progress: Progress,
+) -> dict:
+    """SIFT features of some images, one file each."""
+    cv2.setNumThreads(1)
+    options = pycolmap.FeatureExtractionOptions(num_threads=1, use_gpu=False)
+    options.sift.max_num_features = max_features
+    options.sift.first_octave = first_octave
+    extractor = pycolmap.FeatureExtractor.create(options, pycolmap.Device.cpu)
+    for count, (name, mask) in enumerate(zip(images, masks, strict=True), 1):
+        keypoints, described = _sift(extractor, Path(root), name, mask, max_side)
+        target = Path(out) / f"{name}.npz"
+        target.parent.mkdir(parents=True, exist_ok=True)
+        partial = target.with_suffix(".partial.npz")
+        np.savez(partial, keypoints=keypoints, descriptors=described)
+        partial.rename(target)
+        progress(count, len(images))
+    return {}
+
+
+def _sift(extractor, root: Path, name: str, mask: str | None, max_side: int) -> tuple[np.ndarray, np.ndarray]:
+    flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
+    image = cv2.imread(str(root / name), flags)
+    if image is None:
+        raise OSError(f"{root / name}: cannot read the decoded photo")
+    height, width = image.shape
+    scale = min(1.0, max_side / max(height, width))
+    if scale < 1.0:
+        size = (max(1, round(width * scale)), max(1, round(height * scale)))
+        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    found, described = extractor.extract_from_uint8_array(image)
+    keypoints = pycolmap.keypoints_to_matrix(found)
+    keypoints[:, :2] *= (width / image.shape[1], height / image.shape[0])
+    keypoints[:, 2] *= width / image.shape[1]
+    descriptors = described.data.reshape(-1, 128)
+    if mask is not None:
+        allowed = cv2.imread(str(root / mask), cv2.IMREAD_GRAYSCALE)
+        if allowed is None:
+            raise OSError(f"{root / mask}: cannot read the mask")
+        columns = np.clip(keypoints[:, 0].astype(int), 0, width - 1)
+        rows = np.clip(keypoints[:, 1].astype(int), 0, height - 1)
+        keep = allowed[rows, columns] > 127
+        keypoints, descriptors = keypoints[keep], descriptors[keep]
+    return keypoints, descriptors
+
+
 def create_database(
     database: str,
     images: list[str],  # [N] pixel files; image i gets the id i + 1
     camera_of_image: list[int],  # [N] into `cameras`
     cameras: list[dict],  # fields of graphgs.scene.Camera, and `known`: the focal length is more than a guess
+    features: str,  # folder that `extract` filled
     progress: Progress,
 ) -> dict:
-    """A database of images and shared cameras without features."""
+    """A database of images, shared cameras and features. It appears by one rename."""
     path, partial = Path(database), Path(database + ".partial")
     for leftover in path.parent.glob(partial.name + "*"):
         leftover.unlink()
@@ -41,6 +97,10 @@ def create_database(
             frame = pycolmap.Frame(frame_id=image_id, rig_id=camera + 1)
             frame.add_data_id(image.data_id)
             db.write_frame(frame, use_frame_id=True)
+            with np.load(Path(features) / f"{name}.npz", allow_pickle=False) as arrays:
+                db.write_keypoints(image_id, arrays["keypoints"])
+                described = pycolmap.FeatureDescriptors(pycolmap.FeatureExtractorType.SIFT, arrays["descriptors"])
+                db.write_descriptors(image_id, described)
     _settle(partial)
     partial.rename(path)
     return {}
@@ -51,44 +111,6 @@ def set_cameras(database: str, cameras: list[dict], progress: Progress) -> dict:
     with pycolmap.Database.open(database) as db:
         for camera_id, fields in enumerate(cameras, 1):
             db.update_camera(_camera(camera_id, fields))
-    return {}
-
-
-def extract(
-    database: str,
-    root: str,
-    images: list[str],
-    mask_root: str | None,  # masks lie at mask_root / (image + ".png"); 0 = no features here
-    max_side: int,  # [px]
-    max_features: int,
-    first_octave: int,
-    threads: int,
-    progress: Progress,
-) -> dict:
-    """SIFT features of some images; those that have features already are passed over."""
-    options = pycolmap.FeatureExtractionOptions(max_image_size=max_side, num_threads=threads, use_gpu=False)
-    options.sift.max_num_features = max_features
-    options.sift.first_octave = first_octave
-    reader = pycolmap.ImageReaderOptions()
-    if mask_root is not None:
-        reader.mask_path = mask_root
-    chunk = max(8, 4 * threads)
-    for first in range(0, len(images), chunk):
-        names = images[first : first + chunk]
-        pycolmap.extract_features(
-            database, root, names, reader_options=reader, extraction_options=options, device=pycolmap.Device.cpu
-        )
-        progress(first + len(names), len(images))
-    with pycolmap.Database.open(database) as db:
-        return {"features": [db.num_keypoints_for_image(i + 1) for i in range(db.num_images())]}
-
-
-def descriptors(database: str, out: str, progress: Progress) -> dict:
-    """All descriptors in one npz: `data` [F, 128] uint8 and `offsets` [N + 1] by image."""
-    with pycolmap.Database.open(database) as db:
-        per_image = [db.read_descriptors(i + 1).data.reshape(-1, 128) for i in range(db.num_images())]
-    offsets = np.concatenate([[0], np.cumsum([len(d) for d in per_image])])
-    np.savez(out, data=np.concatenate(per_image), offsets=offsets)
     return {}
 
 
@@ -142,6 +164,29 @@ def verified(database: str, out: str, progress: Progress) -> dict:
     return {}
 
 
+def fundamentals(database: str, out: str, progress: Progress) -> dict:
+    """The fundamental matrices of verified pairs in general position, in one npz: `pairs` [P, 2], `F` [P, 3, 3] with
+    x_j^T F x_i = 0 in px, `inliers` [P]."""
+    general = {
+        int(pycolmap.TwoViewGeometryConfiguration.CALIBRATED),
+        int(pycolmap.TwoViewGeometryConfiguration.UNCALIBRATED),
+    }
+    with pycolmap.Database.open(database) as db:
+        pair_ids, geometries = db.read_two_view_geometries()
+    chosen = [
+        (pycolmap.pair_id_to_image_pair(pair_id), geometry)
+        for pair_id, geometry in zip(pair_ids, geometries, strict=True)
+        if geometry.config in general and geometry.F is not None
+    ]
+    np.savez(
+        out,
+        pairs=np.array([pair for pair, _ in chosen], dtype=np.int64).reshape(-1, 2) - 1,
+        F=np.array([geometry.F for _, geometry in chosen]).reshape(-1, 3, 3),
+        inliers=np.array([len(geometry.inlier_matches) for _, geometry in chosen], dtype=np.int64),
+    )
+    return {}
+
+
 def settle(database: str, progress: Progress) -> dict:
     """Fold the write-ahead log into the database, so that the one file is the whole of it."""
     _settle(Path(database))
@@ -150,7 +195,6 @@ def settle(database: str, progress: Progress) -> dict:
 
 def map_incrementally(
     database: str,
-    root: str,
     out: str,  # folder for the model
     start: str | None,  # a model to go on from, its poses held
     options: dict,  # IncrementalPipelineOptions
@@ -177,29 +221,28 @@ def map_incrementally(
     shutil.rmtree(models, ignore_errors=True)
     models.mkdir(parents=True)
     found = pycolmap.incremental_mapping(
-        database, root, models, settings, input_path=start or "", next_image_callback=count_one
+        database, models, models, settings, input_path=start or "", next_image_callback=count_one
     )
     shutil.rmtree(models)
     if not found:
         return {"registered": 0}
     best = max(found, key=lambda k: (found[k].num_reg_images(), -k))
-    return _save(found[best], root, out)
+    return _save(found[best], out)
 
 
 def triangulate(
     database: str,
-    root: str,
     poses: str,  # folder of a Reconstruction whose names are pixel files
     out: str,
-    rounds: list[dict],  # per round: max_error_px, min_angle_deg, robust, refine
-    refine_intrinsics: bool,
+    rounds: list[dict],  # per round: max_error_px, min_angle_deg, loss (a pycolmap LossFunctionType), loss_scale_px
+    refine: list[str],  # of "poses", "intrinsics", "principal_point"
     seed: int,
     threads: int,
     progress: Progress,
 ) -> dict:
     """Triangulate the database's matches from given poses, then bundle adjustment and filtering, in rounds.
 
-    With `refine` off in every round the poses and intrinsics stay exactly as given."""
+    What `refine` does not name stays exactly as given."""
     pycolmap.set_random_seed(seed)
     given = Reconstruction.load(Path(poses))
     with pycolmap.Database.open(database) as db:
@@ -219,17 +262,16 @@ def triangulate(
     mapper = pycolmap.IncrementalMapper(cache)
     mapper.begin_reconstruction(model)
     for index, step in enumerate(rounds):
-        _round(mapper, model, step, refine_intrinsics, seed, threads)
+        _round(mapper, model, step, refine, seed, threads)
         progress(index + 1, len(rounds))
     mapper.end_reconstruction(discard=False)
-    return _save(model, root, out)
+    return _save(model, out)
 
 
-def _round(mapper, model, step: dict, refine_intrinsics: bool, seed: int, threads: int) -> None:
+def _round(mapper, model, step: dict, refine: list[str], seed: int, threads: int) -> None:
     options = pycolmap.IncrementalMapperOptions(num_threads=threads, random_seed=seed)
     options.filter_max_reproj_error = step["max_error_px"]
     options.filter_min_tri_angle = step["min_angle_deg"]
-    options.fix_existing_frames = not step["refine"]
     finding = pycolmap.IncrementalTriangulatorOptions(random_seed=seed)
     finding.merge_max_reproj_error = finding.complete_max_reproj_error = step["max_error_px"]
     finding.min_angle = step["min_angle_deg"]
@@ -237,13 +279,15 @@ def _round(mapper, model, step: dict, refine_intrinsics: bool, seed: int, thread
         mapper.triangulate_image(finding, image_id)
     mapper.complete_and_merge_tracks(finding)
     mapper.retriangulate(finding)
-    if step["refine"]:
+    if refine:
         adjustment = pycolmap.BundleAdjustmentOptions(print_summary=False)
-        adjustment.refine_focal_length = adjustment.refine_extra_params = refine_intrinsics
+        adjustment.refine_rig_from_world = "poses" in refine
+        adjustment.refine_focal_length = adjustment.refine_extra_params = "intrinsics" in refine
+        adjustment.refine_principal_point = "principal_point" in refine
+        adjustment.ceres.loss_function_type = getattr(pycolmap.LossFunctionType, step["loss"])
+        adjustment.ceres.loss_function_scale = step["loss_scale_px"]
         adjustment.ceres.solver_options.num_threads = threads
         adjustment.ceres.solver_options.max_num_iterations = 50
-        if step["robust"]:
-            adjustment.ceres.loss_function_type = pycolmap.LossFunctionType.SOFT_L1
         mapper.adjust_global_bundle(options, adjustment)
     mapper.filter_points(options)
 
@@ -266,20 +310,17 @@ def _set_intrinsics(camera: pycolmap.Camera, source: Camera) -> None:
 
 
 def _settle(database: Path) -> None:
-    import sqlite3
-
     connection = sqlite3.connect(database)
     connection.execute("PRAGMA wal_checkpoint(TRUNCATE)")
     connection.execute("PRAGMA journal_mode=DELETE")
     connection.close()
 
 
-def _save(model: pycolmap.Reconstruction, root: str, out: str) -> dict:
+def _save(model: pycolmap.Reconstruction, out: str) -> dict:
     """The model in COLMAP's format (to go on from) and as a Reconstruction, in one folder that appears at once."""
     partial, final = Path(out + ".partial"), Path(out)
     shutil.rmtree(partial, ignore_errors=True)
     (partial / "colmap").mkdir(parents=True)
-    model.extract_colors_for_all_images(root)
     model.write_binary(partial / "colmap")
     _reconstruction(model).save(partial)
     shutil.rmtree(final, ignore_errors=True)
@@ -321,12 +362,12 @@ def _plain_camera(camera: pycolmap.Camera) -> Camera:
 JOBS = {
     job.__name__: job
     for job in (
+        extract,
         create_database,
         set_cameras,
-        extract,
-        descriptors,
         match,
         verified,
+        fundamentals,
         settle,
         map_incrementally,
         triangulate,

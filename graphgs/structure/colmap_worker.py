@@ -1,8 +1,8 @@
 """The child process that runs COLMAP: `python -m graphgs.structure.colmap_worker`.
 
-One JSON object per line: {"job": name, "arguments": {...}} comes in; {"progress": [done, total]} any number of times and
-one of {"result": {...}} or {"failed": message} go out. A native abort ends this process only; the client (`colmap`) sees
-the end of the stream and says what happened. The end of the input, or of the parent, ends the worker.
+One JSON object per line: {"job": name, "arguments": {...}} comes in; {"progress": [done, total]} any number of times
+and one of {"result": {...}} or {"failed": message} go out. A native abort ends this process only; the client (`colmap`)
+sees the end of the stream and says what happened. The end of the input, or of the parent, ends the worker.
 """
 
 import ctypes

@@ -9,10 +9,12 @@ import numpy as np
 
 from graphgs.errors import DataError
 from graphgs.progress import Reporter
+from graphgs.sources.photos import Photos
 from graphgs.structure.colmap import ColmapWorker
 from graphgs.structure.components import components, describe
 from graphgs.structure.config import StructureConfig
-from graphgs.structure.database import build_features, link_or_copy, refined_by, shared_cameras
+from graphgs.structure.database import create_database, link_or_copy
+from graphgs.structure.features import extract_features
 from graphgs.structure.pairing import Pairs
 from graphgs.structure.prior import Prior
 
@@ -57,7 +59,7 @@ class Matches:
 
 def match_pairs(
     config: StructureConfig,
-    photos,
+    photos: Photos,
     pairs: Pairs,
     prior: Prior,
     *,
@@ -72,19 +74,17 @@ def match_pairs(
     database = scratch / "database.db"
     n = len(photos.photos)
     tried = _in_photo_order(pairs, photos.names)
+    features = extract_features(
+        photos,
+        scratch / "features",
+        max_side=config.fine_max_side,
+        max_features=config.fine_features,
+        first_octave=config.fine_first_octave,
+        threads=threads,
+        progress=lambda done, total: reporter.progress(done, total, "features"),
+    )
     with ColmapWorker(scratch) as worker:
-        features = build_features(
-            worker,
-            database,
-            photos,
-            refined_by(shared_cameras(photos), photos, prior.reconstruction),
-            max_side=config.fine_max_side,
-            max_features=config.fine_features,
-            first_octave=config.fine_first_octave,
-            scratch=scratch,
-            threads=threads,
-            progress=lambda done, total: reporter.progress(done, total, "features"),
-        )
+        create_database(worker, database, photos, prior.cameras, scratch / "features")
 
         def verify(chosen: list[tuple[int, int]], note: str) -> tuple[np.ndarray, np.ndarray]:
             worker.run(
@@ -144,7 +144,7 @@ def bridge_candidates(
     *,
     per_group: int,
 ) -> list[tuple[int, int]]:
-    """For every group but the largest, its most alike untried pairs with the rest; in file order where none are known."""
+    """For each group but the largest, its most alike untried pairs with the rest; by file order if none are known."""
     groups = components(n, edges)
     chosen: set[tuple[int, int]] = set()
     for group in groups[1:]:
@@ -162,7 +162,7 @@ def bridge_candidates(
 
 def _apart(names: tuple[str, ...], groups: list[np.ndarray], candidates: int, verified: int) -> DataError:
     return DataError(
-        f"the photos do not show one connected scene: of {candidates} candidate pairs {verified} share features, and the "
-        f"largest group holds {len(groups[0])} of {len(names)} photos: {describe(names, groups)}",
+        f"the photos do not show one connected scene: of {candidates} candidate pairs {verified} share features, and "
+        f"the largest group holds {len(groups[0])} of {len(names)} photos: {describe(names, groups)}",
         hint="add photos in between that overlap both sides by half or more, or run each scene on its own",
     )

@@ -7,28 +7,26 @@ from pathlib import Path
 import numpy as np
 
 from graphgs.scene.reconstruction import Reconstruction
+from graphgs.structure.cameras import SharedCameras
 
 
 @dataclass(frozen=True)
 class Prior:
-    """Coarse camera poses. Only pairing looks at them, wherever they come from: a bad prior costs pairs, not the result.
+    """Coarse camera poses. Pairing alone looks at them, wherever they come from: a bad prior costs pairs, not the result.
 
-    `reconstruction` is made from the photos themselves; a prior from elsewhere leaves it as it is (None: there is none)."""
+    `reconstruction` is made from the photos themselves, also where the poses are from elsewhere; None: there is none."""
 
     names: tuple[str, ...]  # [N] all photos
     placed: np.ndarray  # [N] bool: has a pose below
     rotations: np.ndarray  # [N, 3, 3] camera-from-world; identity where not placed
     centers: np.ndarray  # [N, 3] world; NaN where not placed
+    cameras: SharedCameras  # intrinsics of all photos, as far as known
+    hold_intrinsics: bool  # the photos do not determine them (straight driving): do not refine
     source: str  # auto | poses | gps | sequence
     note: str = ""  # how it came about, for the report
     oriented: bool = True  # False: positions only, `rotations` say nothing
     reconstruction: Reconstruction | None = None
     similar: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), np.int64))  # [N, k] look-alikes, best first
-
-    @property
-    def cameras_known(self) -> bool:
-        """Intrinsics from a reconstruction, not a guess."""
-        return self.reconstruction is not None
 
     def similar_pairs(self, photos: np.ndarray) -> np.ndarray:
         """[P, 2] i < j: every look-alike pair with at least one of `photos` (indices) in it."""
@@ -43,8 +41,9 @@ class Prior:
     def save(self, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         arrays = {k: getattr(self, k) for k in ("placed", "rotations", "centers", "similar")}
-        np.savez(folder / "prior.npz", **arrays)
-        header = {k: getattr(self, k) for k in ("names", "source", "note", "oriented")}
+        np.savez(folder / "prior.npz", camera_ids=self.cameras.camera_ids, **arrays)
+        header = {k: getattr(self, k) for k in ("names", "hold_intrinsics", "source", "note", "oriented")}
+        header["cameras"] = self.cameras.records()
         (folder / "prior.json").write_text(json.dumps(header, indent=1))
         if self.reconstruction is not None:
             self.reconstruction.save(folder / "reconstruction")
@@ -55,18 +54,18 @@ class Prior:
         header["names"] = tuple(header["names"])
         own = folder / "reconstruction"
         reconstruction = Reconstruction.load(own) if own.is_dir() else None
-        with np.load(folder / "prior.npz", allow_pickle=False) as arrays:
-            return Prior(**header, **dict(arrays), reconstruction=reconstruction)
+        with np.load(folder / "prior.npz", allow_pickle=False) as stored:
+            arrays = dict(stored)
+        header["cameras"] = SharedCameras.from_records(header["cameras"], arrays.pop("camera_ids"))
+        return Prior(**header, **arrays, reconstruction=reconstruction)
 
 
-def prior_from_reconstruction(
-    names: tuple[str, ...], reconstruction: Reconstruction, *, source: str, note: str, own: bool, similar: np.ndarray
-) -> Prior:
-    """Poses by name; `own`: the reconstruction was made from these photos and the final one may start from it."""
+def poses_by_name(names: tuple[str, ...], reconstruction: Reconstruction) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(placed [N], rotations [N, 3, 3], centers [N, 3]) of the named photos, as Prior holds them."""
     row = {name: k for k, name in enumerate(reconstruction.names)}
     placed = np.array([name in row for name in names], dtype=bool)
     rotations = np.tile(np.eye(3), (len(names), 1, 1))
     centers = np.full((len(names), 3), np.nan)
     rows = np.array([row[name] for name in names if name in row], dtype=np.int64)
     rotations[placed], centers[placed] = reconstruction.rotations[rows], reconstruction.centers[rows]
-    return Prior(names, placed, rotations, centers, source, note, True, reconstruction if own else None, similar)
+    return placed, rotations, centers

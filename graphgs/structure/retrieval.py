@@ -1,5 +1,7 @@
 """Which photos look alike: VLAD (Jegou et al. 2010) over a small vocabulary trained on the scene's own descriptors."""
 
+from itertools import pairwise
+
 import numpy as np
 
 _TRAINING_DESCRIPTORS = 30_000  # enough for 64 words, and a bound on the time
@@ -33,7 +35,7 @@ def _signatures(descriptors: np.ndarray, offsets: np.ndarray, *, words: int, see
     sample = np.sort(rng.choice(total, min(total, _TRAINING_DESCRIPTORS), replace=False))
     vocabulary = _train(_unit(descriptors[sample]), min(words, max(1, len(sample))), rng)
     signatures = np.zeros((len(offsets) - 1, len(vocabulary), descriptors.shape[1]), np.float32)
-    for i, (first, last) in enumerate(zip(offsets[:-1], offsets[1:], strict=True)):
+    for i, (first, last) in enumerate(pairwise(offsets)):
         features = _unit(descriptors[first:last])
         sums, counts = _by_word(features, _nearest(features, vocabulary), len(vocabulary))
         signatures[i] = sums - counts * vocabulary

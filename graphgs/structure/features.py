@@ -1,0 +1,72 @@
+"""SIFT features of all photos, extracted by as many worker processes as there are threads.
+
+pycolmap's extractor holds Python's lock, so threads would not help; its own file-based extraction spends more time on
+reading and shrinking images than on SIFT. Each photo leaves one file, so a killed run loses at most one photo per worker.
+"""
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from itertools import accumulate
+from pathlib import Path
+from threading import Lock
+
+import numpy as np
+
+from graphgs.sources.photos import Photos
+from graphgs.structure.colmap import ColmapWorker
+
+
+def extract_features(
+    photos: Photos,
+    folder: Path,  # gets <pixel file>.npz for each photo
+    *,
+    max_side: int,  # [px]
+    max_features: int,
+    first_octave: int,
+    threads: int,
+    progress: Callable[[int, int], None],
+) -> np.ndarray:
+    """Extract what is not there yet. Returns the number of features [N]."""
+    total = len(photos.photos)
+    pending = [photo for photo in photos.photos if not (folder / f"{photo.pixels}.npz").exists()]
+    done, lock = total - len(pending), Lock()
+    progress(done, total)
+
+    def one_more(*_) -> None:
+        nonlocal done
+        with lock:
+            done += 1
+            progress(done, total)
+
+    count = min(threads, len(pending))
+    # The workers end first when something is raised here, which in turn ends the threads that wait for them.
+    with ThreadPoolExecutor(max(1, count)) as pool, ExitStack() as stack:
+        workers = [stack.enter_context(ColmapWorker(folder / f"worker{k}")) for k in range(count)]
+        running = []
+        for k, worker in enumerate(workers):
+            share = pending[k::count]
+            job = {
+                "root": photos.folder,
+                "images": [photo.pixels for photo in share],
+                "masks": [photo.mask for photo in share],
+                "out": folder,
+                "max_side": max_side,
+                "max_features": max_features,
+                "first_octave": first_octave,
+            }
+            running.append(pool.submit(worker.run, "extract", progress=one_more, **job))
+        for future in running:
+            future.result()
+    return np.array([len(_load(folder, photo.pixels, "keypoints")) for photo in photos.photos], dtype=np.int64)
+
+
+def load_descriptors(photos: Photos, folder: Path) -> tuple[np.ndarray, np.ndarray]:
+    """(descriptors [F, 128] uint8 of all photos in turn, offsets [N + 1])."""
+    per_photo = [_load(folder, photo.pixels, "descriptors") for photo in photos.photos]
+    return np.concatenate(per_photo), np.array(list(accumulate((len(d) for d in per_photo), initial=0)))
+
+
+def _load(folder: Path, pixels: str, name: str) -> np.ndarray:
+    with np.load(folder / f"{pixels}.npz", allow_pickle=False) as arrays:
+        return arrays[name]

@@ -1,0 +1,84 @@
+"""The artefact of the structure stage: the final reconstruction, whether to trust it, and what it lacks."""
+
+import dataclasses
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from graphgs.scene.reconstruction import Reconstruction
+from graphgs.structure.acceptance import Agreement
+from graphgs.structure.matching import Matches
+
+
+@dataclass(frozen=True)
+class Structure:
+    """The final reconstruction with its verified pairs, whether to trust it and why, and the photos it lacks."""
+
+    reconstruction: Reconstruction  # names are photo names, sorted; pixels are those of the decoded photos
+    edges: np.ndarray  # [E, 2] int into the reconstruction's names, i < j, sorted
+    inliers: np.ndarray  # [E] verified matches; for given points, the points that both photos see
+    accepted: bool
+    method: str  # the step of the ladder, or what was done with given poses
+    agreement: Agreement | None  # with a reconstruction made apart; None where there is none to compare with
+    compared_with: str
+    component: int  # photos in the largest connected group
+    unregistered: tuple[tuple[str, str], ...]  # (name, reason)
+
+    @property
+    def status(self) -> str:
+        return "ok" if self.accepted else "partial"
+
+    def save(self, folder: Path) -> None:
+        self.reconstruction.save(folder)
+        np.savez(folder / "edges.npz", edges=self.edges, inliers=self.inliers)
+        header = {
+            "accepted": self.accepted,
+            "method": self.method,
+            "agreement": None if self.agreement is None else dataclasses.asdict(self.agreement),
+            "compared_with": self.compared_with,
+            "component": self.component,
+            "unregistered": [list(entry) for entry in self.unregistered],
+        }
+        (folder / "structure.json").write_text(json.dumps(header, indent=1))
+
+    @staticmethod
+    def load(folder: Path) -> "Structure":
+        header = json.loads((folder / "structure.json").read_text())
+        header["agreement"] = None if header["agreement"] is None else Agreement(**header["agreement"])
+        header["unregistered"] = tuple(tuple(entry) for entry in header["unregistered"])
+        with np.load(folder / "edges.npz", allow_pickle=False) as arrays:
+            return Structure(Reconstruction.load(folder), **dict(arrays), **header)
+
+
+def edges_among(matches: Matches, names: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """(edges [E, 2], inliers [E]) of the matches between the named photos, as indices into `names`."""
+    row = {name: k for k, name in enumerate(names)}
+    index = np.array([row.get(name, -1) for name in matches.names], dtype=np.int64)
+    edges = np.sort(index[matches.edges], axis=1)
+    both = (edges >= 0).all(1)
+    edges, inliers = edges[both], matches.inliers[both]
+    order = np.lexsort((edges[:, 1], edges[:, 0]))
+    return edges[order], inliers[order]
+
+
+def left_out(
+    names: tuple[str, ...],
+    placed: tuple[str, ...],
+    component: np.ndarray,  # indices of the largest connected group
+    edges: np.ndarray,  # [E, 2] verified
+) -> tuple[tuple[str, str], ...]:
+    """(name, reason) of every photo without a pose."""
+    has_pose, inside, matched = set(placed), set(component.tolist()), set(np.unique(edges).tolist())
+    reasons = []
+    for k, name in enumerate(names):
+        if name in has_pose:
+            continue
+        if k not in matched:
+            reasons.append((name, "shares no features with any other photo"))
+        elif k not in inside:
+            reasons.append((name, "shares features only with photos apart from the main group"))
+        else:
+            reasons.append((name, "shares features with the main group, but no pose fits them"))
+    return tuple(reasons)
