@@ -54,8 +54,8 @@ def plan_drive(centerline: Centerline, frames: int, cameras: int, spacing: float
     shots = []
     for frame in range(frames):
         s = frame * spacing
-        sway, slope = _wave(s, 0.8, 9.0, phases[0])
-        yaw = centerline.heading(s) + np.arctan(slope) + _wave(s, np.radians(4.0), 6.5, phases[1])[0]
+        sway, slope = _wave(s, 0.8, 7.0, phases[0])
+        yaw = centerline.heading(s) + 0.3 * np.arctan(slope) + _wave(s, np.radians(4.0), 6.5, phases[1])[0]
         pitch = _wave(s, np.radians(1.5), 8.3, phases[2])[0]
         roll = _wave(s, np.radians(1.2), 5.1, phases[3])[0]
         height = CAMERA_HEIGHT + _wave(s, 0.2, 6.1, phases[4])[0]

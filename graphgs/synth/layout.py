@@ -34,7 +34,7 @@ def build_street(drive_length: float, *, seed: int, texels_per_m: float) -> Stre
     _ground(street, rng, paint, start, end, shadows, texels_per_m)
     for side in (-1, 1):
         _houses(street, rng, paint, side, start, end)
-    street.add_wall((end, -14.0), (end, 14.0), 0.0, rng.uniform(11, 13), paint(facades.facade))
+    _closing_row(street, rng, paint, end)
     for side, s, offset, length, van in vehicles:
         _vehicle(street, rng, paint, s, side * offset, length, van)
     for side in (-1, 1):
@@ -86,6 +86,19 @@ def _houses(street, rng, paint, side, start, end) -> None:
         if far - near > 3.0:
             _on_the_front(street, rng, paint, side, near, far, front, height)
         near = far
+
+
+def _closing_row(street, rng, paint, end) -> None:
+    """Three houses across the far end, the middle one set back: a single plane before all photos would mislead SfM."""
+    edges = (-14.0, -3.5 + rng.uniform(-1, 1), 3.5 + rng.uniform(-1, 1), 14.0)
+    back = (0.0, rng.uniform(3.0, 5.0), rng.uniform(0.5, 1.5))
+    for (left, right), setback in zip(itertools.pairwise(edges), back, strict=True):
+        s = end + setback
+        street.add_wall((s, left), (s, right), 0.0, rng.uniform(9, 13), paint(facades.facade))
+    for edge, before, behind in ((edges[1], back[0], back[1]), (edges[2], back[2], back[1])):
+        near, far = (end + before, edge), (end + behind, edge)
+        left, right = (far, near) if edge > 0 else (near, far)  # both look into the recess
+        street.add_wall(left, right, 0.0, rng.uniform(9, 12), paint(facades.blank_wall))
 
 
 def _on_the_front(street, rng, paint, side, near, far, front, height) -> None:

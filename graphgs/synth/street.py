@@ -16,11 +16,12 @@ from graphgs.scene.colmap import write_model
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.synth.drive import RIGS, plan_drive
 from graphgs.synth.layout import build_street
-from graphgs.synth.truth import sample_points
+from graphgs.synth.truth import TruthBuilder
 
 GAMMA = 2.2  # a stop of exposure multiplies display values by 2 ** (1 / GAMMA)
 EXIF_FOCAL_35MM = 0xA405
 EXIF_IFD = 0x8769
+FILM_DIAGONAL = 43.27  # [mm] of 36 x 24 mm film
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,7 @@ def write_street(
     shots = plan_drive(street.line, config.frames, config.cameras, config.spacing, config.seed)
     stops = config.exposure_stops * np.random.default_rng([config.seed, 4]).uniform(-1, 1, len(shots))
 
-    images, depths = [], []
+    truth = TruthBuilder(camera, points_per_shot=-(-config.points // len(shots)), seed=config.seed)
     try:
         for done, (shot, stop) in enumerate(zip(shots, stops, strict=True)):
             image, depth = raycast(
@@ -112,29 +113,19 @@ def write_street(
                 target = folder / "truth" / "depth" / f"{shot.name}.npz"
                 target.parent.mkdir(parents=True, exist_ok=True)
                 np.savez_compressed(target, depth=depth)
-            images.append(image)
-            depths.append(depth)
+            truth.add(shot.viewmat, image, depth)
             reporter.progress(done + 1, len(shots), shot.name)
 
-        order = sorted(range(len(shots)), key=lambda k: shots[k].name)
-        truth = sample_points(
-            tuple(f"{shots[k].name}.jpg" for k in order),
-            np.array([shots[k].camera for k in order]),
-            (camera,) * config.cameras,
-            np.stack([shots[k].viewmat for k in order]),
-            [images[k] for k in order],
-            [depths[k] for k in order],
-            count=config.points,
-            seed=config.seed,
-        )
-        write_model(truth, folder / "truth")
-        exposures = {f"{shot.name}.jpg": round(float(stop), 6) for shot, stop in zip(shots, stops, strict=True)}
+        names = [f"{shot.name}.jpg" for shot in shots]
+        reconstruction = truth.finish(names, [shot.camera for shot in shots])
+        write_model(reconstruction, folder / "truth")
+        exposures = {name: round(float(stop), 6) for name, stop in zip(names, stops, strict=True)}
         (folder / "truth" / "exposures.json").write_text(json.dumps({"stops": exposures}, indent=1) + "\n")
     except OSError as error:
         raise DiskError(
             f"{folder}: cannot write the street: {error}", hint="Choose a folder you may write to, with room left."
         ) from error
-    return Street(folder / "images", folder / "truth", truth)
+    return Street(folder / "images", folder / "truth", reconstruction)
 
 
 def _write_photo(path: Path, image: np.ndarray, camera: Camera | None) -> None:
@@ -142,7 +133,7 @@ def _write_photo(path: Path, image: np.ndarray, camera: Camera | None) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     exif = Image.Exif()
     if camera is not None:
-        # 36 mm is the long side of the film: whole millimetres, so about 2 % uncertain.
-        focal = round(camera.focal_and_center[0] * 36.0 / max(camera.width, camera.height))
+        # Equal diagonals, as the EXIF standard and COLMAP have it; whole millimetres, so about 2 % uncertain.
+        focal = round(camera.focal_and_center[0] * FILM_DIAGONAL / np.hypot(camera.width, camera.height))
         exif.get_ifd(EXIF_IFD)[EXIF_FOCAL_35MM] = focal
     Image.fromarray(image).save(path, quality=95, subsampling=0, exif=exif)
