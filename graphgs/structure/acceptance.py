@@ -1,5 +1,5 @@
-"""Is a reconstruction right? Its own figures cannot tell: every wrong model measured had all photos registered and under
-a pixel of error. Agreement of two reconstructions made apart, coarse and fine, told right from wrong in 19 of 19."""
+"""Is a reconstruction right? Its own figures cannot tell: every wrong model measured had all photos registered and
+under a pixel of error. Agreement of two reconstructions made apart, coarse and fine, told right from wrong 19 times."""
 
 from dataclasses import dataclass
 

@@ -1,7 +1,7 @@
 """SIFT features of all photos, extracted by as many worker processes as there are threads.
 
 pycolmap's extractor holds Python's lock, so threads would not help; its own file-based extraction spends more time on
-reading and shrinking images than on SIFT. Each photo leaves one file, so a killed run loses at most one photo per worker.
+reading and shrinking images than on SIFT. Each photo leaves one file: a killed run loses at most one per worker.
 """
 
 from collections.abc import Callable

@@ -1,8 +1,8 @@
 """Focal lengths of photos that do not tell theirs, by vote of the fundamental matrices of their matches.
 
-With the right focal length f, K^T F K has two equal singular values (it is an essential matrix). How far they are apart
-is averaged over all pairs and scanned over f: the minimum is the focal length, and its sharpness says whether the photos
-determine one at all. Straight driving does not: there any f fits, bundle adjustment would wander off, so f is held.
+With the right focal length f, K^T F K has two equal singular values (it is an essential matrix). How far they are
+apart is averaged over all pairs and scanned over f: the minimum is the focal length, and its sharpness says whether the
+photos determine one at all. Straight driving does not: any f fits, bundle adjustment would wander off, so f is held.
 """
 
 from dataclasses import dataclass

@@ -26,8 +26,8 @@ from graphgs.structure.prior import Prior
 from graphgs.structure.result import Structure, edges_among, left_out
 
 _ANOTHER_SEED = 1000  # offset
-# First a wide net, since coarse poses are off by a pixel or two. Then Cauchy's loss: repeated facades leave wrong tracks
-# that no threshold finds; it cut the median position error to a quarter (castle .25 -> .06 %, fox .13 -> .08 %).
+# First a wide net, since coarse poses are off by a pixel or two. Then Cauchy's loss: repeated facades leave wrong
+# tracks that no threshold finds; it cut the median position error to a quarter (castle .25 -> .06 %, fox .13 -> .08 %).
 _WIDE = {"max_error_px": 8.0, "min_angle_deg": 1.5, "loss": "SOFT_L1", "loss_scale_px": 1.0}
 _NARROW = {"loss": "CAUCHY", "loss_scale_px": 1.0}
 _COMMON_SHARE = 0.5  # agreement on fewer of the photos says nothing about the rest

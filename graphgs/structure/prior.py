@@ -12,9 +12,9 @@ from graphgs.structure.cameras import SharedCameras
 
 @dataclass(frozen=True)
 class Prior:
-    """Coarse camera poses. Pairing alone looks at them, wherever they come from: a bad prior costs pairs, not the result.
+    """Coarse camera poses. Pairing alone looks at them, wherever they are from: a bad prior costs pairs, nothing else.
 
-    `reconstruction` is made from the photos themselves, also where the poses are from elsewhere; None: there is none."""
+    `reconstruction` is made from the photos themselves, even where the poses are not; None: there is none."""
 
     names: tuple[str, ...]  # [N] all photos
     placed: np.ndarray  # [N] bool: has a pose below
