@@ -65,13 +65,13 @@ class RunReporter(Reporter):
     def info(self, message: str) -> None:
         self._end_bar()
         self._emit("info", {"message": message})
-        self._say(f"      {escape(_printable(message))}")
+        self._say(f"      {escape(printable(message))}")
 
     def warn(self, message: str) -> None:
         self._end_bar()
         self.warnings.append(message)
         self._emit("warning", {"message": message})
-        self._say(f"      [yellow]warning:[/yellow] {escape(_printable(message))}")
+        self._say(f"      [yellow]warning:[/yellow] {escape(printable(message))}")
 
     def _emit(self, kind: str, fields: dict, *, log: bool = True) -> None:
         line = json.dumps({"time": round(time.time(), 3), "event": kind, **fields}, default=str)
@@ -91,7 +91,7 @@ class RunReporter(Reporter):
             self._bar = Progress(*columns, TextColumn("{task.description}"), console=self._console, transient=True)
             self._bar.start()
             self._task = self._bar.add_task("", total=total)
-        self._bar.update(self._task, completed=done, total=total, description=escape(_printable(note)))
+        self._bar.update(self._task, completed=done, total=total, description=escape(printable(note)))
 
     def _end_bar(self) -> None:
         if self._bar is not None:
@@ -99,6 +99,6 @@ class RunReporter(Reporter):
             self._bar = None
 
 
-def _printable(text: str) -> str:
+def printable(text: str) -> str:
     """Control characters (file names may hold any) shown, not sent to the terminal."""
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)

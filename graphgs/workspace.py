@@ -53,6 +53,15 @@ class Outcome(Generic[Artefact]):
     reused: bool
 
 
+@dataclass(frozen=True)
+class Found:
+    """A finished stage of an earlier run."""
+
+    folder: Path
+    key: str
+    seconds: float
+
+
 class Workspace:
     """An output folder. Raises UsageError where it cannot be written or another run is at work in it."""
 
@@ -93,6 +102,7 @@ class Workspace:
         produce: Callable[[Path, Path], Artefact],  # (folder, scratch) -> artefact; may write files into folder
         load: Callable[[Path], Artefact],
         reporter: Reporter,
+        scratch: Path | None = None,  # a folder of its own for what survives a kill; it is kept afterwards
     ) -> Outcome[Artefact]:
         """The artefact from the cache if its key is unchanged, else made, saved and renamed into place.
 
@@ -105,12 +115,12 @@ class Workspace:
             return Outcome(load(folder), key, record["seconds"], True)
 
         partial = self.cache / f"{stage.folder}.partial"
-        scratch = self._scratch(stage, key)
+        work = _scratch(scratch or self.cache / f"{stage.folder}.scratch", key)
         _remove(partial)
         partial.mkdir()
         reporter.event("stage_begins", name=stage.name, key=key[:12])
         started = time.perf_counter()
-        artefact = produce(partial, scratch)
+        artefact = produce(partial, work)
         artefact.save(partial)
         seconds = round(time.perf_counter() - started, 3)
         write_json(partial / "stage.json", {"key": key, "version": stage.version, "seconds": seconds})
@@ -118,23 +128,15 @@ class Workspace:
         _remove(folder)
         partial.rename(folder)
         sync_folder(self.cache)
-        _remove(scratch)
+        if scratch is None:
+            _remove(work)
         reporter.event("stage", name=stage.name, key=key[:12], reused=False, seconds=seconds)
         return Outcome(load(folder), key, seconds, False)
 
-    def find(self, stage: Stage) -> Path | None:
-        """The folder of a finished stage, whatever its key; None if there is none."""
-        folder = self.cache / stage.folder
-        return folder if _read_record(folder) is not None else None
-
-    def _scratch(self, stage: Stage, key: str) -> Path:
-        scratch = self.cache / f"{stage.folder}.scratch"
-        note = scratch / "key"
-        if not note.is_file() or note.read_text() != key:
-            _remove(scratch)
-            scratch.mkdir()
-            write_text(note, key)
-        return scratch
+    def find(self, stage: Stage) -> "Found | None":
+        """A finished stage, whatever its key; None if there is none."""
+        record = _read_record(self.cache / stage.folder)
+        return None if record is None else Found(self.cache / stage.folder, record["key"], record["seconds"])
 
 
 def digest(value: Any) -> str:
@@ -193,6 +195,16 @@ def _read_record(folder: Path) -> dict | None:
     except (FileNotFoundError, NotADirectoryError, json.JSONDecodeError):
         return None
     return record if {"key", "seconds"} <= record.keys() else None
+
+
+def _scratch(folder: Path, key: str) -> Path:
+    """The folder emptied, unless what it holds belongs to the same key."""
+    note = folder / "key"
+    if not note.is_file() or note.read_text() != key:
+        _remove(folder)
+        folder.mkdir()
+        write_text(note, key)
+    return folder
 
 
 def _remove(folder: Path) -> None:

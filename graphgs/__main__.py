@@ -1,0 +1,5 @@
+"""python -m graphgs: the command line."""
+
+from graphgs.cli import main
+
+main()

@@ -1,0 +1,223 @@
+"""The command line: graphgs run | check | pose | train | eval | render | synth. Flags come from the option dataclasses."""
+
+import dataclasses
+import errno
+import signal
+import sys
+import tempfile
+import traceback
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
+
+from graphgs.console import RunReporter, printable
+from graphgs.errors import DiskError, GraphGSError, OutOfMemoryError
+from graphgs.options import Options
+from graphgs.synth.street import StreetConfig
+
+Settings = Annotated[UseAppendAction[tuple[str, ...]], arg(name="set", metavar="STAGE.FIELD=VALUE")]
+Scene = Annotated[Positional[Path], arg(metavar="SCENE")]
+
+app = tyro.extras.SubcommandApp()
+
+
+@app.command
+def run(
+    input: Positional[Path],
+    output: Positional[Path],
+    options: OmitArgPrefixes[Options] = Options(),  # noqa: B008 - frozen
+    settings: Settings = (),
+    json: bool = False,
+) -> None:
+    """Photos in, a trained scene out. Run the same command again and it continues.
+
+    Args:
+        input: A folder of photos, a COLMAP project, a transforms.json, or KITTI poses.
+        output: The folder for splat.ply, report.html and the rest.
+        options: The settings people change most.
+        settings: Any setting, for example --set training.sh_degree=2; repeat for more.
+        json: One JSON event per line instead of text.
+    """
+    from graphgs import api
+
+    _finished(api.run(input, output, **_arguments(options, settings, json)), json)
+
+
+@app.command
+def pose(
+    input: Positional[Path],
+    output: Positional[Path],
+    options: OmitArgPrefixes[Options] = Options(),  # noqa: B008 - frozen
+    settings: Settings = (),
+    json: bool = False,
+) -> None:
+    """Camera poses only: a COLMAP model of the undistorted photos, the camera graph and a report.
+
+    Args:
+        input: A folder of photos, a COLMAP project, a transforms.json, or KITTI poses.
+        output: The folder for colmap/, report.html and the rest.
+        options: The settings people change most.
+        settings: Any setting, for example --set structure.fine_features=8192; repeat for more.
+        json: One JSON event per line instead of text.
+    """
+    from graphgs import api
+
+    _finished(api.pose(input, output, **_arguments(options, settings, json)), json)
+
+
+@app.command
+def train(
+    scene: Scene,
+    options: OmitArgPrefixes[Options] = Options(),  # noqa: B008 - frozen
+    settings: Settings = (),
+    json: bool = False,
+) -> None:
+    """Train on the poses that `pose` or `run` left in a scene folder, with its settings unless others are given.
+
+    Args:
+        scene: An output folder of `graphgs pose` or `graphgs run`.
+        options: The settings people change most.
+        settings: Any setting, for example --set training.sampling=uniform; repeat for more.
+        json: One JSON event per line instead of text.
+    """
+    from graphgs import api
+
+    _finished(api.train(scene, **_arguments(options, settings, json)), json)
+
+
+@app.command
+def check(input: Positional[Path], options: OmitArgPrefixes[Options] = Options()) -> None:  # noqa: B008 - frozen
+    """Look at the input without working on it: what would be used, what not and why, and what a run would cost.
+
+    Args:
+        input: What would be given to `graphgs run`.
+        options: The settings the run would have.
+    """
+    from graphgs import commands
+
+    for line in commands.check(input, options):
+        print(printable(line))
+
+
+@app.command(name="eval")
+def evaluate(scene: Scene, device: str = "auto") -> None:
+    """Measure splat.ply of a scene folder on its held-out views again.
+
+    Args:
+        scene: An output folder of `graphgs run`.
+        device: auto, cpu or cuda:0.
+    """
+    from graphgs import commands
+
+    for line in commands.evaluate_scene(scene, device=device):
+        print(printable(line))
+
+
+@app.command
+def render(
+    scene: Scene, output: Positional[Path], views: Literal["test", "train", "all"] = "test", device: str = "auto"
+) -> None:
+    """Render splat.ply of a scene folder from its own cameras.
+
+    Args:
+        scene: An output folder of `graphgs run`.
+        output: The folder for the pictures, PNG.
+        views: Which cameras.
+        device: auto, cpu or cuda:0.
+    """
+    from graphgs import commands
+
+    count = commands.render_scene(scene, output, views=views, device=device)
+    print(printable(f"{count} pictures in {output}"))
+
+
+@app.command
+def synth(
+    kind: Positional[Literal["street"]],
+    output: Positional[Path],
+    config: OmitArgPrefixes[StreetConfig] = StreetConfig(),  # noqa: B008 - frozen
+) -> None:
+    """Make a photo set whose true poses and depths are known.
+
+    Args:
+        kind: street: a drive between textured house fronts.
+        output: The folder for images/ and truth/.
+        config: What to make.
+    """
+    from graphgs import commands
+
+    print(printable(commands.synthesize(kind, output, config)))
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line and exit with its code: 0 ok, 1 bug, 2 usage, 3 data, 4 memory, 5 disk, 130 interrupted."""
+    signal.signal(signal.SIGTERM, _terminate)
+    sys.exit(_guarded(arguments))
+
+
+def _guarded(arguments: list[str] | None) -> int:
+    try:
+        app.cli(prog="graphgs", args=arguments, description="Photos without poses in, a trained 3D scene out.")
+    except GraphGSError as error:
+        return _say(error)
+    except KeyboardInterrupt:
+        print("interrupted; what was done is saved, the same command continues", file=sys.stderr)
+        return 130
+    except MemoryError:
+        return _say(OutOfMemoryError("out of memory", hint="use a smaller --max-side or --max-splats"))
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return _say(DiskError(f"the disk is full: {error.filename or ''}", hint="free some space; the run continues"))
+        return _bug(error)
+    except Exception as error:
+        return _bug(error)
+    return 0
+
+
+def _say(error: GraphGSError) -> int:
+    print(f"error: {printable(error.message)}", file=sys.stderr)
+    if error.hint:
+        print(f"       {printable(error.hint)}", file=sys.stderr)
+    return error.exit_code
+
+
+def _bug(error: BaseException) -> int:
+    """The traceback goes to a file: a person needs one line, whoever mends it needs all."""
+    with tempfile.NamedTemporaryFile("w", prefix="graphgs-crash-", suffix=".txt", delete=False) as file:
+        traceback.print_exception(error, file=file)
+    print(f"error: a bug in graphgs: {type(error).__name__}: {printable(str(error))}", file=sys.stderr)
+    print(f"       the details are in {file.name}; please report them. What was done is saved.", file=sys.stderr)
+    return GraphGSError.exit_code
+
+
+def _terminate(number: int, frame) -> None:
+    raise KeyboardInterrupt
+
+
+def _arguments(options: Options, settings: tuple[str, ...], json: bool) -> dict:
+    given = {field.name: getattr(options, field.name) for field in dataclasses.fields(options)}
+    return given | {
+        "settings_extra": settings,
+        "reporter": RunReporter(as_json=json),
+        "command": " ".join(["graphgs", *sys.argv[1:]]),
+    }
+
+
+def _finished(result, json: bool) -> None:
+    if json:
+        return
+    metrics = result.metrics
+    print(f"done: {metrics['registered']} of {metrics['images']} photos placed")
+    if metrics["psnr"] is not None:
+        print(f"      {metrics['num_splats']} Gaussians, {metrics['psnr']:.2f} dB on {len(metrics['views'])} held-out views")
+    total = sum(metrics["seconds"].values())
+    print(f"      {total:.0f} s in all, at most {metrics['peak_rss_mb']} MB of memory")
+    print(printable(f"      {result.report_path}"))
+    if result.splat_path.exists():
+        print(printable(f"      {result.splat_path}"))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,270 @@
+"""What a run leaves for its user: splat.ply, report.html, metrics.json, run.toml, graph.json, colmap/, eval/."""
+
+import dataclasses
+import os
+import platform
+import shlex
+import shutil
+import sys
+import time
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from graphgs.config import to_toml
+from graphgs.evaluation.evaluate import Evaluation
+from graphgs.evaluation.report import (
+    CameraFigures,
+    Check,
+    HeldOutFigures,
+    HeldOutView,
+    OutputFile,
+    PairFigures,
+    ReportData,
+    StructureFigures,
+    TrainingCurve,
+    UnusedPhoto,
+    write_report,
+)
+from graphgs.export.colmap import write_colmap
+from graphgs.export.ply import write_ply
+from graphgs.memory import peak_rss_bytes
+from graphgs.pipeline import Posed, Run, Trained, partial_error
+from graphgs.structure.pair_set import KIND_NAMES
+from graphgs.workspace import write_json, write_text
+
+PACKAGES = ("graphgs", "torch", "warp-lang", "taichi", "pycolmap", "numpy", "scipy", "opencv-python-headless")
+
+
+@dataclass(frozen=True)
+class Made:
+    """The part of a run that training adds."""
+
+    trained: Trained
+    evaluation: Evaluation
+
+
+def write_outputs(run: Run, posed: Posed, made: Made | None, *, command: str, status: str) -> dict[str, Any]:
+    """Write every output; returns what metrics.json holds. `status`: complete, or partial (no training)."""
+    output, started = run.workspace.output, time.perf_counter()
+    run.reporter.info(f"writing {output}")
+    versions = installed_versions()
+    _write_settings(run, versions)
+    posed.graph.save(output / "graph.json")
+    write_colmap(
+        output / "colmap", posed.views, posed.structure.reconstruction, posed.photos,
+        threads=run.threads, reporter=run.reporter,
+    )  # fmt: skip
+    if made is not None:
+        write_ply(made.trained.splats, output / "splat.ply")
+        _publish(run.workspace.cache / "10_evaluation", output / "eval")
+    run.seconds["outputs"] = round(time.perf_counter() - started, 3)
+    metrics = collect_metrics(run, posed, made, versions, status)
+    write_json(output / "metrics.json", metrics)
+    write_report(output / "report.html", report_data(run, posed, made, metrics, command=command, status=status))
+    return metrics
+
+
+def collect_metrics(
+    run: Run, posed: Posed, made: Made | None, versions: dict[str, str], status: str
+) -> dict[str, Any]:
+    n = len(posed.photos.photos)
+    evaluation = None if made is None else made.evaluation
+    return {
+        "status": status,
+        "psnr": None if evaluation is None else evaluation.psnr,
+        "ssim": None if evaluation is None else evaluation.ssim,
+        "lpips": None,
+        "views": [] if evaluation is None else [_plain(view) for view in evaluation.views],
+        "missing_views": list(posed.views.missing_test if evaluation is None else evaluation.missing),
+        "num_splats": None if made is None else len(made.trained.splats),
+        "steps_executed": None if made is None else made.trained.stats.steps_executed,
+        "images": n,
+        "registered": len(posed.structure.reconstruction.names),
+        "skipped": {s.name: s.reason for s in posed.photos.skipped},
+        "pairs_candidate": None if posed.pairs is None else len(posed.pairs.pairs),
+        "pairs_exhaustive": n * (n - 1) // 2,
+        "pairs_verified": len(posed.graph.edges),
+        "seconds": dict(run.seconds),
+        "peak_rss_mb": round(peak_rss_bytes() / 2**20),
+        "device": device_name(run.device),
+        "versions": versions,
+        "seed": run.config.run.seed,
+    }
+
+
+def report_data(
+    run: Run, posed: Posed, made: Made | None, metrics: dict[str, Any], *, command: str, status: str
+) -> ReportData:
+    """The plain data the report is made from."""
+    partial = partial_error(posed) if status == "partial" else None
+    return ReportData(
+        title=run.workspace.output.resolve().name,
+        status=status,
+        command=command,
+        cause="" if partial is None else partial.message,
+        next_step="" if partial is None else partial.hint,
+        created=time.strftime("%Y-%m-%d %H:%M"),
+        device=metrics["device"],
+        versions=metrics["versions"],
+        settings=_settings(run),
+        photos_used=posed.structure.reconstruction.names,
+        photos_unused=tuple(
+            [UnusedPhoto(s.name, s.reason) for s in posed.photos.skipped]
+            + [UnusedPhoto(name, reason) for name, reason in posed.structure.unregistered]
+        ),
+        pairs=_pair_figures(posed),
+        cameras=_camera_figures(posed),
+        structure=_structure_figures(run, posed),
+        training=None if made is None else _training_curve(made),
+        tests=None if made is None else _held_out(made, run.workspace.output / "eval", posed),
+        num_splats=metrics["num_splats"],
+        steps_executed=metrics["steps_executed"],
+        stage_seconds=metrics["seconds"],
+        peak_rss_bytes=peak_rss_bytes(),
+        warnings=tuple(run.reporter.warnings) + ((posed.photos.given_note,) if posed.photos.given_note else ()),
+        outputs=_files(made is not None),
+    )
+
+
+def device_name(device: str) -> str:
+    if device.startswith("cuda"):
+        import torch
+
+        return f"{device} ({torch.cuda.get_device_name(device)})"
+    return f"cpu ({platform.processor() or platform.machine()}, {os.cpu_count()} cores)"
+
+
+def installed_versions() -> dict[str, str]:
+    found = {"python": platform.python_version()}
+    for name in PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed as a package"
+    return found
+
+
+def command_line() -> str:
+    return shlex.join(["graphgs", *sys.argv[1:]])
+
+
+def _write_settings(run: Run, versions: dict[str, str]) -> None:
+    made_by = {"input": "" if run.source is None else str(run.source.resolve()), **versions}
+    made_by |= {f"{stage}_key": key for stage, key in run.keys.items()}
+    write_text(run.workspace.output / "run.toml", to_toml(run.config, made_by))
+
+
+def _settings(run: Run) -> dict[str, dict[str, object]]:
+    return dataclasses.asdict(run.config)
+
+
+def _pair_figures(posed: Posed) -> PairFigures | None:
+    pairs = posed.pairs
+    if pairs is None:
+        return None
+    because = {name: int(((pairs.kinds & bit) != 0).sum()) for bit, name in KIND_NAMES.items()}
+    if pairs.rings == "none":
+        selector = "all pairs"
+    else:
+        selector = f"concentric nearest neighbours ({pairs.rings} rings), {pairs.filter} filter"
+    return PairFigures(
+        candidate=len(pairs.pairs),
+        exhaustive=pairs.exhaustive,
+        verified=len(posed.graph.edges),
+        kept_because={name: count for name, count in because.items() if count},
+        selector=selector,
+    )
+
+
+def _camera_figures(posed: Posed) -> CameraFigures:
+    graph = posed.graph
+    return CameraFigures(
+        names=graph.names,
+        centers=graph.centers,
+        rotations=graph.rotations,
+        edges=graph.edges,
+        inliers=graph.inliers,
+        is_test=graph.is_test,
+        importance=graph.importance(),
+        unregistered=tuple(name for name, _ in posed.structure.unregistered),
+    )
+
+
+def _structure_figures(run: Run, posed: Posed) -> StructureFigures:
+    structure = posed.structure
+    model, limits, agreed = structure.reconstruction, run.config.structure, structure.agreement
+    placed = len(model.names) / max(structure.component, 1)
+    checks = [
+        Check("photos placed", f"{100 * placed:.0f} %", f"at least {100 * limits.min_registered:.0f} %",
+              placed >= limits.min_registered)
+    ]  # fmt: skip
+    if agreed is not None:
+        for name, value, limit in (
+            ("pairwise rotation change, median", agreed.rotation_median_deg, limits.max_rotation_median_deg),
+            ("pairwise rotation change, 99th percentile", agreed.rotation_p99_deg, limits.max_rotation_p99_deg),
+        ):
+            checks.append(Check(name, f"{value:.2f}°", f"below {limit:g}°", value < limit))
+        shift = 100 * agreed.largest_shift
+        limit = 100 * limits.max_camera_shift
+        checks.append(Check("largest camera shift", f"{shift:.2f} %", f"at most {limit:g} % of the scene", shift <= limit))
+    focals = ", ".join(sorted({f"{camera.focal_and_center[0]:.0f} px" for camera in model.cameras}))
+    return StructureFigures(
+        errors=model.errors, track_lengths=model.track_lengths, method=structure.method, focal=focals, checks=tuple(checks)
+    )
+
+
+def _training_curve(made: Made) -> TrainingCurve:
+    curve = made.trained.stats.curve
+    columns = {name: np.array([entry[name] for entry in curve]) for name in ("step", "loss", "num_splats")}
+    return TrainingCurve(columns["step"], columns["loss"], columns["num_splats"])
+
+
+def _held_out(made: Made, folder: Path, posed: Posed) -> HeldOutFigures:
+    evaluation = made.evaluation
+    views = tuple(
+        HeldOutView(
+            view.name, view.psnr, view.ssim, folder / view.truth, folder / view.render, folder / view.error
+        )
+        for view in evaluation.views
+    )
+    return HeldOutFigures(views, evaluation.psnr, evaluation.ssim, None, evaluation.missing)
+
+
+def _files(trained: bool) -> tuple[OutputFile, ...]:
+    files = (
+        OutputFile("colmap/", "undistorted photos and poses, COLMAP format", "COLMAP, and any splat trainer"),
+        OutputFile("graph.json", "the camera graph, node-link form", "networkx"),
+        OutputFile("metrics.json", "the figures of this page", "any JSON reader"),
+        OutputFile("run.toml", "every setting in force", "graphgs run --config run.toml"),
+        OutputFile("log.jsonl", "what happened, event by event", "any text editor"),
+    )
+    if not trained:
+        return files
+    splat = OutputFile("splat.ply", "the trained Gaussians", "any 3D Gaussian Splatting viewer")
+    return (splat, *files, OutputFile("eval/", "held-out views: truth, render, error", "any image viewer"))
+
+
+def _plain(view) -> dict[str, Any]:
+    return {"name": view.name, "psnr": view.psnr, "ssim": view.ssim}
+
+
+def _publish(source: Path, target: Path) -> None:
+    """The pictures of a stage under the output folder, as hard links where the disk has them: the cache may be deleted."""
+    partial = target.with_name(f".{target.name}.partial")
+    if partial.exists():
+        shutil.rmtree(partial)
+    for path in sorted(source.rglob("*.png")):
+        copy = partial / path.relative_to(source)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            os.link(path, copy)
+        except OSError:
+            shutil.copy2(path, copy)
+    partial.mkdir(parents=True, exist_ok=True)
+    if target.exists():
+        shutil.rmtree(target)
+    partial.rename(target)

@@ -1,0 +1,331 @@
+"""The order of stages: known here and nowhere else.
+
+photos -> coarse -> pairs -> matches -> mapping -> views -> graph -> points -> training -> evaluation
+Each stage is a function from artefacts to an artefact; the workspace keeps them and decides what must run again.
+"""
+
+import dataclasses
+import fnmatch
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from graphgs.config import Config
+from graphgs.console import RunReporter
+from graphgs.errors import PartialError, UsageError
+from graphgs.evaluation.evaluate import Evaluation, evaluate
+from graphgs.graph import CameraGraph
+from graphgs.graph.build import build_camera_graph
+from graphgs.points import PrunedPoints, initial_points
+from graphgs.rendering.splats import Splats
+from graphgs.scene.views import Views
+from graphgs.sources import Photos, fingerprint, load_photos
+from graphgs.structure.candidates import candidate_pairs
+from graphgs.structure.coarse import coarse_poses
+from graphgs.structure.mapping import map_fine
+from graphgs.structure.matching import Matches, match_pairs
+from graphgs.structure.pairing import Pairs
+from graphgs.structure.prior import Prior
+from graphgs.structure.result import Structure
+from graphgs.structure.undistort import undistort
+from graphgs.training import train
+from graphgs.training.stats import TrainStats
+from graphgs.workspace import Outcome, Stage, Workspace
+
+PHOTOS = Stage(1, "photos", 1)
+COARSE = Stage(2, "coarse", 1)
+PAIRS = Stage(3, "pairs", 1)
+MATCHES = Stage(4, "matches", 1)
+MAPPING = Stage(5, "mapping", 1)
+VIEWS = Stage(6, "views", 1)
+GRAPH = Stage(7, "graph", 1)
+POINTS = Stage(8, "points", 1)
+TRAINING = Stage(9, "training", 1)
+EVALUATION = Stage(10, "evaluation", 1)
+STAGES = (PHOTOS, COARSE, PAIRS, MATCHES, MAPPING, VIEWS, GRAPH, POINTS, TRAINING, EVALUATION)
+
+# The settings each stage reads (patterns over stage.field); a setting that changes reruns what follows from it.
+READS: dict[Stage, tuple[str, ...]] = {
+    PHOTOS: ("sources.*",),
+    COARSE: (
+        "run.seed", "run.prior", "structure.poses", "structure.coarse_*", "structure.sequence_window",
+        "structure.retrieval_*", "structure.min_registered",
+    ),
+    PAIRS: ("pairing.*",),
+    MATCHES: ("run.seed", "structure.fine_*", "structure.min_inliers", "structure.bridge_pairs"),
+    MAPPING: (
+        "run.seed", "structure.poses", "structure.min_inliers", "structure.max_error_px", "structure.min_angle_deg",
+        "structure.min_registered", "structure.max_rotation_*", "structure.max_camera_shift",
+    ),
+    VIEWS: ("structure.max_side",),
+    GRAPH: (),
+    POINTS: ("points.*",),
+    TRAINING: ("run.seed", "training.*"),
+    EVALUATION: (),
+}  # fmt: skip
+# Settings that change how a stage works, never what it makes.
+WITHOUT_INFLUENCE = {
+    "run.device", "run.allow_partial", "structure.chunk_pairs", "training.image_cache_bytes", "training.checkpoint_s",
+}  # fmt: skip
+
+_TITLES = {
+    PHOTOS: "Reading the photos",
+    COARSE: "Coarse poses from small images",
+    PAIRS: "Choosing pairs",
+    MATCHES: "Matching the chosen pairs",
+    MAPPING: "Triangulation and bundle adjustment",
+    VIEWS: "Undistorting",
+    GRAPH: "Camera graph",
+    POINTS: "Initial points",
+    TRAINING: "Training Gaussians",
+    EVALUATION: "Held-out views",
+}
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What the training stage leaves: the scene and the figures of its making."""
+
+    splats: Splats
+    stats: TrainStats
+
+    def save(self, folder: Path) -> None:
+        self.splats.save(folder)
+        self.stats.save(folder)
+
+    @staticmethod
+    def load(folder: Path) -> "Trained":
+        return Trained(Splats.load(folder), TrainStats.load(folder))
+
+
+@dataclass(frozen=True)
+class Posed:
+    """Photos with poses. The steps that a set of given poses made unnecessary are None."""
+
+    photos: Photos
+    structure: Structure
+    views: Views
+    graph: CameraGraph
+    prior: Prior | None = None
+    pairs: Pairs | None = None
+    matches: Matches | None = None
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run: its settings, its folder, and how it speaks. Collects the seconds per stage as it goes."""
+
+    config: Config
+    source: Path | None  # None: go on from the artefacts in the workspace
+    workspace: Workspace
+    reporter: RunReporter
+    threads: int
+    device: str
+    seconds: dict[str, float] = dataclasses.field(default_factory=dict)
+    keys: dict[str, str] = dataclasses.field(default_factory=dict)
+
+    def stage(self, stage: Stage, inputs: list[Stage], produce, load, *, source_key: str = "", scratch=None) -> Any:
+        """The artefact of a stage, made or reused; `inputs` are the stages it is made from."""
+        self.reporter.stage(stage.order, len(STAGES), _TITLES[stage])
+        settings = settings_of(stage, self.config)
+        if stage is TRAINING:
+            settings["device"] = self.device.split(":")[0]
+        outcome: Outcome = self.workspace.run(
+            stage,
+            settings=settings,
+            inputs=[self.keys[i.name] for i in inputs if i.name in self.keys] + [source_key],
+            produce=produce,
+            load=load,
+            reporter=self.reporter,
+            scratch=scratch,
+        )
+        self.keys[stage.name], self.seconds[stage.name] = outcome.key, outcome.seconds
+        if outcome.reused:
+            self.reporter.info("unchanged, reused")
+        return outcome.artefact
+
+    def found(self, stage: Stage, load) -> Any:
+        """The artefact of an earlier run, whatever its settings were; None if that stage did not run."""
+        found = self.workspace.find(stage)
+        if found is None:
+            return None
+        self.keys[stage.name], self.seconds[stage.name] = found.key, found.seconds
+        return load(found.folder)
+
+
+def settings_of(stage: Stage, config: Config) -> dict[str, Any]:
+    """The settings a stage reads, as `stage.field: value`."""
+    flat = flat_settings(config)
+    return {
+        name: value
+        for name, value in flat.items()
+        if name not in WITHOUT_INFLUENCE and any(fnmatch.fnmatchcase(name, pattern) for pattern in READS[stage])
+    }
+
+
+def flat_settings(config: Config) -> dict[str, Any]:
+    return {f"{room}.{name}": value for room, fields in dataclasses.asdict(config).items() for name, value in fields.items()}
+
+
+def find_poses(run: Run) -> Posed:
+    """Photos in, posed views and their graph out. Raises DataError where the photos cannot work."""
+    config, reporter, threads = run.config, run.reporter, run.threads
+    photos = _photos(run)
+    prior, pairs, matches = _matched(run, photos)
+    structure = run.stage(
+        MAPPING,
+        [PHOTOS, COARSE, MATCHES],
+        lambda folder, scratch: map_fine(
+            config.structure, photos, matches, prior,
+            scratch=scratch, reporter=reporter, threads=threads, seed=config.run.seed,
+        ),
+        Structure.load,
+    )  # fmt: skip
+    return _viewed(run, photos, structure, prior, pairs, matches)
+
+
+def resume_poses(run: Run) -> Posed:
+    """The poses an earlier run left in the workspace. Raises UsageError if there are none."""
+    photos, structure = run.found(PHOTOS, Photos.load), run.found(MAPPING, Structure.load)
+    if photos is None or structure is None:
+        raise UsageError(
+            f"{run.workspace.output}: no camera poses there", hint="run `graphgs pose PHOTOS SCENE` or `graphgs run` first"
+        )
+    prior, pairs = run.found(COARSE, Prior.load), run.found(PAIRS, Pairs.load)
+    return _viewed(run, photos, structure, prior, pairs, run.found(MATCHES, Matches.load))
+
+
+def make_scene(run: Run, posed: Posed) -> tuple[Trained, Evaluation]:
+    """From posed views to a trained scene and its figures on held-out views."""
+    config, reporter, threads = run.config, run.reporter, run.threads
+    if not posed.structure.accepted and not config.run.allow_partial:
+        raise partial_error(posed)
+    points = run.stage(
+        POINTS,
+        [MAPPING],
+        lambda folder, scratch: initial_points(
+            config.points, posed.structure.reconstruction, reporter=reporter, threads=threads
+        ),
+        PrunedPoints.load,
+    )
+
+    def produce(folder: Path, scratch: Path) -> Trained:
+        splats, stats = train(
+            config.training, posed.views, posed.graph, points,
+            scratch=scratch, device=run.device, seed=config.run.seed, threads=threads, reporter=reporter,
+        )  # fmt: skip
+        return Trained(splats, stats)
+
+    checkpoints = run.workspace.output / "checkpoints"
+    trained = run.stage(TRAINING, [VIEWS, GRAPH, POINTS], produce, Trained.load, scratch=checkpoints)
+    evaluation = run.stage(
+        EVALUATION,
+        [VIEWS, TRAINING],
+        lambda folder, scratch: evaluate(
+            trained.splats, posed.views, folder, device=run.device, threads=threads, reporter=reporter
+        ),
+        Evaluation.load,
+    )
+    return trained, evaluation
+
+
+def partial_error(posed: Posed) -> PartialError:
+    """Why a structure that was not accepted is not trained on."""
+    placed, total = len(posed.structure.reconstruction.names), len(posed.photos.photos)
+    left = len(posed.structure.unregistered)
+    reason = f"{placed} of {total} photos could be placed"
+    if posed.structure.component < total:
+        reason += f"; the largest group with common features holds {posed.structure.component}"
+    if left == 0 or placed >= 0.95 * posed.structure.component:
+        reason += "; the first and the final reconstruction disagree"
+    return PartialError(
+        f"partial: {reason}",
+        hint="the report names the photos and reasons; add photos in between, or use --allow-partial to train on what there is",
+    )
+
+
+def _photos(run: Run) -> Photos:
+    config = run.config
+    sources = dataclasses.replace(config.sources, decode_max_side=decode_side(config))
+    settled = dataclasses.replace(run, config=dataclasses.replace(config, sources=sources))
+    return settled.stage(
+        PHOTOS,
+        [],
+        lambda folder, scratch: load_photos(
+            sources, run.source, folder, reporter=run.reporter, threads=run.threads, exclude=run.workspace.output
+        ),
+        Photos.load,
+        source_key=fingerprint(run.source, exclude=run.workspace.output),
+    )
+
+
+def decode_side(config: Config) -> int:
+    """[px] the largest size any stage asks for."""
+    structure = config.structure
+    return max(
+        config.sources.decode_max_side, structure.coarse_max_side, structure.fine_max_side, structure.max_side or 0
+    )
+
+
+def _matched(run: Run, photos: Photos) -> tuple[Prior, Pairs, Matches]:
+    config, reporter, threads, seed = run.config, run.reporter, run.threads, run.config.run.seed
+
+    def produce_prior(folder: Path, scratch: Path) -> Prior:
+        return coarse_poses(
+            config.structure, photos, scratch=scratch, reporter=reporter, threads=threads, seed=seed
+        )
+
+    prior = run.stage(COARSE, [PHOTOS], produce_prior, Prior.load)
+    pairs = run.stage(
+        PAIRS,
+        [COARSE],
+        lambda folder, scratch: candidate_pairs(config.pairing, prior, reporter=reporter, threads=threads),
+        Pairs.load,
+    )
+    matches = run.stage(
+        MATCHES,
+        [PHOTOS, COARSE, PAIRS],
+        lambda folder, scratch: match_pairs(
+            config.structure, photos, pairs, prior, scratch=scratch, reporter=reporter, threads=threads, seed=seed
+        ),
+        Matches.load,
+    )
+    return prior, pairs, matches
+
+
+def _viewed(
+    run: Run,
+    photos: Photos,
+    structure: Structure,
+    prior: Prior | None,
+    pairs: Pairs | None,
+    matches: Matches | None,
+) -> Posed:
+    model = structure.reconstruction
+    views = run.stage(
+        VIEWS,
+        [PHOTOS, MAPPING],
+        lambda folder, scratch: undistort(
+            run.config.structure.max_side, photos, model, folder, reporter=run.reporter, threads=run.threads
+        ),
+        Views.load,
+    )
+    graph = run.stage(
+        GRAPH,
+        [PHOTOS, PAIRS, MAPPING],
+        lambda folder, scratch: build_camera_graph(
+            model, views.is_test, structure.edges, structure.inliers, kinds=_kinds(model.names, structure.edges, pairs)
+        ),
+        CameraGraph.load,
+    )
+    return Posed(photos, structure, views, graph, prior, pairs, matches)
+
+
+def _kinds(names: tuple[str, ...], edges: np.ndarray, pairs: Pairs | None) -> np.ndarray | None:
+    """[E] uint8: why each verified pair was a candidate; 0 where it came later, as a bridge."""
+    if pairs is None:
+        return None
+    bits = {tuple(sorted((pairs.names[i], pairs.names[j]))): k for (i, j), k in zip(pairs.pairs, pairs.kinds, strict=True)}
+    return np.array([bits.get(tuple(sorted((names[i], names[j]))), 0) for i, j in edges], dtype=np.uint8)
