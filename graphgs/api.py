@@ -38,7 +38,11 @@ def settings(options: Options, extra: Iterable[str] = (), *, base: Config | None
     config = preset(options.preset) if base is None else base
     if options.config is not None:
         config = with_file(config, options.config)
-    given = [f"{SETTING_OF_OPTION[name]}={getattr(options, name)}" for name in SETTING_OF_OPTION if getattr(options, name) is not None]
+    given = [
+        f"{SETTING_OF_OPTION[name]}={getattr(options, name)}"
+        for name in SETTING_OF_OPTION
+        if getattr(options, name) is not None
+    ]
     if options.allow_partial:
         given.append("run.allow_partial=true")
     config = with_settings(config, [*given, *extra])
@@ -57,7 +61,7 @@ def run(
 ) -> RunResult:
     """Photos in, a trained scene out; run it again and it continues. `options` are the fields of `Options`.
 
-    Raises graphgs.errors.GraphGSError with what went wrong and what to do; a PartialError after the report is written."""
+    Raises graphgs.errors.GraphGSError: what went wrong, what to do; a PartialError after the report is written."""
     chosen = _options(options)
     config = settings(chosen, settings_extra)
     with _opened(Path(source), Path(output), config, chosen, reporter) as job:
@@ -98,7 +102,9 @@ def train(
     chosen = _options(options)
     folder = Path(scene)
     if not (folder / "run.toml").is_file():
-        raise UsageError(f"{folder}: no scene there (run.toml is missing)", hint="run `graphgs pose PHOTOS SCENE` first")
+        raise UsageError(
+            f"{folder}: no scene there (run.toml is missing)", hint="run `graphgs pose PHOTOS SCENE` first"
+        )
     config = settings(chosen, settings_extra, base=with_file(preset(chosen.preset), folder / "run.toml"))
     with _opened(None, folder, config, chosen, reporter) as job:
         return _finish(job, resume_poses(job), command or f"graphgs.api.train({str(scene)!r})")
@@ -116,7 +122,9 @@ def _finish(job: Run, posed, command: str) -> RunResult:
 class _opened:
     """A run in its workspace: the lock, the log, the number of threads; all given back at the end."""
 
-    def __init__(self, source: Path | None, output: Path, config: Config, options: Options, reporter: RunReporter | None):
+    def __init__(
+        self, source: Path | None, output: Path, config: Config, options: Options, reporter: RunReporter | None
+    ):
         self._source, self._output, self._config, self._options = source, output, config, options
         self._reporter = reporter or RunReporter(quiet=True)
         self._threads = get_num_threads()

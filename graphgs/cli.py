@@ -1,4 +1,4 @@
-"""The command line: graphgs run | check | pose | train | eval | render | synth. Flags come from the option dataclasses."""
+"""The command line: graphgs run | check | pose | train | eval | render | synth. Flags come from dataclasses."""
 
 import dataclasses
 import errno
@@ -169,7 +169,9 @@ def _guarded(arguments: list[str] | None) -> int:
         return _say(OutOfMemoryError("out of memory", hint="use a smaller --max-side or --max-splats"))
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
-            return _say(DiskError(f"the disk is full: {error.filename or ''}", hint="free some space; the run continues"))
+            return _say(
+                DiskError(f"the disk is full: {error.filename or ''}", hint="free some space; the run continues")
+            )
         return _bug(error)
     except Exception as error:
         return _bug(error)
@@ -211,7 +213,8 @@ def _finished(result, json: bool) -> None:
     metrics = result.metrics
     print(f"done: {metrics['registered']} of {metrics['images']} photos placed")
     if metrics["psnr"] is not None:
-        print(f"      {metrics['num_splats']} Gaussians, {metrics['psnr']:.2f} dB on {len(metrics['views'])} held-out views")
+        views = len(metrics["views"])
+        print(f"      {metrics['num_splats']} Gaussians, {metrics['psnr']:.2f} dB on {views} held-out views")
     total = sum(metrics["seconds"].values())
     print(f"      {total:.0f} s in all, at most {metrics['peak_rss_mb']} MB of memory")
     print(printable(f"      {result.report_path}"))

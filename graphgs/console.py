@@ -16,7 +16,7 @@ PLAIN_INTERVAL_S = 10.0  # between two progress lines where there is no terminal
 
 
 class RunReporter(Reporter):
-    """Writes events to log.jsonl and shows progress: a bar on a terminal, plain lines elsewhere, JSON with `as_json`."""
+    """Writes events to log.jsonl; shows progress: a bar on a terminal, plain lines elsewhere, JSON on demand."""
 
     def __init__(self, *, as_json: bool = False, quiet: bool = False, stream: TextIO | None = None):
         self.warnings: list[str] = []

@@ -68,9 +68,7 @@ def write_outputs(run: Run, posed: Posed, made: Made | None, *, command: str, st
     return metrics
 
 
-def collect_metrics(
-    run: Run, posed: Posed, made: Made | None, versions: dict[str, str], status: str
-) -> dict[str, Any]:
+def collect_metrics(run: Run, posed: Posed, made: Made | None, versions: dict[str, str], status: str) -> dict[str, Any]:
     n = len(posed.photos.photos)
     evaluation = None if made is None else made.evaluation
     return {
@@ -210,10 +208,16 @@ def _structure_figures(run: Run, posed: Posed) -> StructureFigures:
             checks.append(Check(name, f"{value:.2f}°", f"below {limit:g}°", value < limit))
         shift = 100 * agreed.largest_shift
         limit = 100 * limits.max_camera_shift
-        checks.append(Check("largest camera shift", f"{shift:.2f} %", f"at most {limit:g} % of the scene", shift <= limit))
+        checks.append(
+            Check("largest camera shift", f"{shift:.2f} %", f"at most {limit:g} % of the scene", shift <= limit)
+        )
     focals = ", ".join(sorted({f"{camera.focal_and_center[0]:.0f} px" for camera in model.cameras}))
     return StructureFigures(
-        errors=model.errors, track_lengths=model.track_lengths, method=structure.method, focal=focals, checks=tuple(checks)
+        errors=model.errors,
+        track_lengths=model.track_lengths,
+        method=structure.method,
+        focal=focals,
+        checks=tuple(checks),
     )
 
 
@@ -226,9 +230,7 @@ def _training_curve(made: Made) -> TrainingCurve:
 def _held_out(made: Made, folder: Path, posed: Posed) -> HeldOutFigures:
     evaluation = made.evaluation
     views = tuple(
-        HeldOutView(
-            view.name, view.psnr, view.ssim, folder / view.truth, folder / view.render, folder / view.error
-        )
+        HeldOutView(view.name, view.psnr, view.ssim, folder / view.truth, folder / view.render, folder / view.error)
         for view in evaluation.views
     )
     return HeldOutFigures(views, evaluation.psnr, evaluation.ssim, None, evaluation.missing)
@@ -253,7 +255,7 @@ def _plain(view) -> dict[str, Any]:
 
 
 def _publish(source: Path, target: Path) -> None:
-    """The pictures of a stage under the output folder, as hard links where the disk has them: the cache may be deleted."""
+    """The pictures of a stage under the output folder, as hard links where possible: the cache may be deleted."""
     partial = target.with_name(f".{target.name}.partial")
     if partial.exists():
         shutil.rmtree(partial)

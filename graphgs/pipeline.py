@@ -166,7 +166,9 @@ def settings_of(stage: Stage, config: Config) -> dict[str, Any]:
 
 
 def flat_settings(config: Config) -> dict[str, Any]:
-    return {f"{room}.{name}": value for room, fields in dataclasses.asdict(config).items() for name, value in fields.items()}
+    return {
+        f"{room}.{name}": value for room, fields in dataclasses.asdict(config).items() for name, value in fields.items()
+    }
 
 
 def find_poses(run: Run) -> Posed:
@@ -191,7 +193,8 @@ def resume_poses(run: Run) -> Posed:
     photos, structure = run.found(PHOTOS, Photos.load), run.found(MAPPING, Structure.load)
     if photos is None or structure is None:
         raise UsageError(
-            f"{run.workspace.output}: no camera poses there", hint="run `graphgs pose PHOTOS SCENE` or `graphgs run` first"
+            f"{run.workspace.output}: no camera poses there",
+            hint="run `graphgs pose PHOTOS SCENE` or `graphgs run` first",
         )
     prior, pairs = run.found(COARSE, Prior.load), run.found(PAIRS, Pairs.load)
     return _viewed(run, photos, structure, prior, pairs, run.found(MATCHES, Matches.load))
@@ -242,7 +245,7 @@ def partial_error(posed: Posed) -> PartialError:
         reason += "; the first and the final reconstruction disagree"
     return PartialError(
         f"partial: {reason}",
-        hint="the report names the photos and reasons; add photos in between, or use --allow-partial to train on what there is",
+        hint="the report names the photos and reasons; add photos in between, or --allow-partial trains on what there is",
     )
 
 
@@ -273,9 +276,7 @@ def _matched(run: Run, photos: Photos) -> tuple[Prior, Pairs, Matches]:
     config, reporter, threads, seed = run.config, run.reporter, run.threads, run.config.run.seed
 
     def produce_prior(folder: Path, scratch: Path) -> Prior:
-        return coarse_poses(
-            config.structure, photos, scratch=scratch, reporter=reporter, threads=threads, seed=seed
-        )
+        return coarse_poses(config.structure, photos, scratch=scratch, reporter=reporter, threads=threads, seed=seed)
 
     prior = run.stage(COARSE, [PHOTOS], produce_prior, Prior.load)
     pairs = run.stage(
@@ -327,5 +328,7 @@ def _kinds(names: tuple[str, ...], edges: np.ndarray, pairs: Pairs | None) -> np
     """[E] uint8: why each verified pair was a candidate; 0 where it came later, as a bridge."""
     if pairs is None:
         return None
-    bits = {tuple(sorted((pairs.names[i], pairs.names[j]))): k for (i, j), k in zip(pairs.pairs, pairs.kinds, strict=True)}
+    bits = {
+        tuple(sorted((pairs.names[i], pairs.names[j]))): k for (i, j), k in zip(pairs.pairs, pairs.kinds, strict=True)
+    }
     return np.array([bits.get(tuple(sorted((names[i], names[j]))), 0) for i, j in edges], dtype=np.uint8)

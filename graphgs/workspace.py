@@ -1,9 +1,9 @@
 """The output folder: artefacts under keys, atomic writes, one run at a time.
 
-A stage's artefact lies in cache/NN_name/. It is written to cache/NN_name.partial/ and renamed when whole, so a folder either
-is complete or is not there. Its key is a hash of the stage's name, version, settings and the keys of its inputs: a changed
-setting reruns only what follows from it. cache/NN_name.scratch/ holds what a long stage needs to go on after a kill, and
-is kept while the key stays the same.
+A stage's artefact lies in cache/NN_name/. It is written to cache/NN_name.partial/ and renamed when whole, so a folder
+either is complete or is not there. Its key is a hash of the stage's name, version, settings and the keys of its inputs:
+a changed setting reruns only what follows from it. cache/NN_name.scratch/ holds what a long stage needs to go on after
+a kill, and is kept while the key stays the same.
 """
 
 import errno

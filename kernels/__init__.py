@@ -1,1 +1,1 @@
-"""Pure device code, installed as `graphgs.kernels`: Warp and Taichi kernels with their launchers. No torch, no files."""
+"""Pure device code, installed as `graphgs.kernels`: Warp and Taichi kernels and launchers. No torch, no files."""

@@ -6,6 +6,7 @@ so a facade seen at a grazing angle neither shimmers nor blurs.
 
 import numpy as np
 import warp as wp
+
 from graphgs.kernels.launch import launch_range
 
 # Images have no gradient here.

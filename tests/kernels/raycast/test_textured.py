@@ -1,8 +1,8 @@
 """The ray caster against trying every triangle, and textures the right way round."""
 
 import numpy as np
-from graphgs.kernels.raycast import raycast
 
+from graphgs.kernels.raycast import raycast
 from graphgs.synth.mesh import MeshBuilder
 from tests.support.reference.raycast import depth_image
 
