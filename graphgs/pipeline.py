@@ -245,7 +245,7 @@ def partial_error(posed: Posed) -> PartialError:
         reason += "; the first and the final reconstruction disagree"
     return PartialError(
         f"partial: {reason}",
-        hint="the report names the photos and reasons; add photos in between, or --allow-partial trains on what there is",
+        hint="the report names the photos and reasons; add photos in between, or train on these with --allow-partial",
     )
 
 
@@ -309,7 +309,7 @@ def _viewed(
         VIEWS,
         [PHOTOS, MAPPING],
         lambda folder, scratch: undistort(
-            run.config.structure.max_side, photos, model, folder, reporter=run.reporter, threads=run.threads
+            run.config.structure, photos, model, folder, reporter=run.reporter, threads=run.threads
         ),
         Views.load,
     )

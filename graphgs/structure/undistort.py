@@ -1,87 +1,37 @@
-"""Undistorted pinhole images at the training size, from the decoded photos and the final cameras."""
+"""From photos and their cameras to pinhole views at the training size: one resampling by area, one by OpenCV's remap."""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from graphgs.errors import DataError, DiskError
+from graphgs.errors import DiskError
 from graphgs.progress import Reporter
 from graphgs.scene.camera import Camera
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.scene.views import Views
 from graphgs.sources.photos import Photo, Photos
+from graphgs.structure.config import StructureConfig
 
-_HALF = np.array([[1.0, 0.0, -0.5], [0.0, 1.0, -0.5], [0.0, 0.0, 1.0]])  # pixel centres at +0.5 -> OpenCV's at 0
-_PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
-_SANE_ZOOM = (0.5, 2.0)  # of the focal length: outside, the distortion is extreme and the frame is not fitted to it
+_BORDER_SAMPLES = 64  # points along each side of the image
+_WIDEST_FISHEYE = np.tan(np.radians(60.0))  # half-widths of a fisheye's pinhole view end here: beyond, corners smear
+_NO_DISTORTION = 1e-12
 
 
 @dataclass(frozen=True)
-class Rectifier:
-    """The map from a photo of one camera, resized to its size, to a pinhole image of the same size."""
+class Undistortion:
+    """How the pixels of one camera become those of a pinhole camera of the same size."""
 
-    camera: Camera  # at the training size
-
-    @cached_property
-    def K(self) -> np.ndarray:
-        """[3, 3] of the pinhole image, px: the largest frame without blank pixels where distortion allows one."""
-        camera = self.camera
-        if not np.any(camera.distortion):
-            return camera.K
-        if camera.is_fisheye:
-            return camera.K
-        fitted, _ = cv2.getOptimalNewCameraMatrix(
-            _HALF @ camera.K, camera.distortion, (camera.width, camera.height), 0.0
-        )
-        zoom = np.array([fitted[0, 0] / camera.K[0, 0], fitted[1, 1] / camera.K[1, 1]])
-        if not np.all((zoom > _SANE_ZOOM[0]) & (zoom < _SANE_ZOOM[1])):
-            return camera.K
-        return np.linalg.inv(_HALF) @ fitted
-
-    @cached_property
-    def maps(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """([H, W] x, [H, W] y) in OpenCV's pixels of the photo; None where nothing has to be done."""
-        camera = self.camera
-        if not np.any(camera.distortion):
-            return None
-        size, given, wanted = (camera.width, camera.height), _HALF @ camera.K, _HALF @ self.K
-        if camera.is_fisheye:
-            return cv2.fisheye.initUndistortRectifyMap(given, camera.distortion, np.eye(3), wanted, size, cv2.CV_32FC1)
-        return cv2.initUndistortRectifyMap(given, camera.distortion, None, wanted, size, cv2.CV_32FC1)
-
-    @cached_property
-    def blank(self) -> np.ndarray | None:
-        """[H, W] bool: pixels that no part of the photo falls on; None where there is none."""
-        if self.maps is None:
-            return None
-        x, y = self.maps
-        outside = (x < -0.5) | (y < -0.5) | (x > self.camera.width - 0.5) | (y > self.camera.height - 0.5)
-        return outside if outside.any() else None
-
-    def image(self, photo: np.ndarray) -> np.ndarray:  # [H, W, 3] uint8 at any size
-        photo = _resized(photo, self.camera.width, self.camera.height)
-        if self.maps is None:
-            return photo
-        return cv2.remap(photo, *self.maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-
-    def mask(self, mask: np.ndarray | None) -> np.ndarray | None:  # [H, W] uint8, 0 = ignore
-        """The mask of the undistorted image; None = every pixel counts."""
-        if mask is not None:
-            mask = cv2.resize(mask, (self.camera.width, self.camera.height), interpolation=cv2.INTER_NEAREST)
-            if self.maps is not None:
-                mask = cv2.remap(mask, *self.maps, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
-        if self.blank is not None:
-            mask = np.full(self.blank.shape, 255, np.uint8) if mask is None else mask
-            mask = np.where(self.blank, 0, mask).astype(np.uint8)
-        return mask
+    camera: Camera  # PINHOLE, at the training size
+    map_x: np.ndarray | None  # [H, W] float32 in OpenCV's pixel coordinates (centres at integers); None: nothing to do
+    map_y: np.ndarray | None
+    valid: np.ndarray | None  # [H, W] uint8, 255 where the photo has a pixel; None: everywhere
 
 
 def undistort(
-    max_side: int | None,  # [px] long side of the views; None = the decoded size
+    config: StructureConfig,
     photos: Photos,
     reconstruction: Reconstruction,
     folder: Path,
@@ -89,75 +39,141 @@ def undistort(
     reporter: Reporter,
     threads: int,
 ) -> Views:
-    """Write images/ and masks/ below `folder`, one per placed photo. Raises DataError where a decoded photo is gone,
-    DiskError where the folder cannot be written."""
-    by_name = {photo.name: photo for photo in photos.photos}
-    rectifiers: dict[Camera, Rectifier] = {}
-    jobs = []
-    for i, name in enumerate(reconstruction.names):
-        photo = by_name[name]
-        camera = reconstruction.camera_of(i)
-        camera = camera.scaled_to(*training_size(camera.width, camera.height, max_side))
-        jobs.append((i, photo, rectifiers.setdefault(camera, Rectifier(camera))))
-    for rectifier in rectifiers.values():  # before threads share them
-        _ = rectifier.K, rectifier.blank
-    for name in ("images", "masks"):
-        (folder / name).mkdir(parents=True, exist_ok=True)
-    masks: list[str | None] = []
-    with ThreadPoolExecutor(max(1, threads), thread_name_prefix="undistort") as pool:
-        results = pool.map(lambda job: _write(photos.folder, folder, *job), jobs)
-        for done, mask in enumerate(results, 1):
-            masks.append(mask)
-            reporter.progress(done, len(jobs), "undistorting")
-    held_out = {name for name, test in zip(photos.names, photos.is_test, strict=True) if test}
-    views = Views(
+    """Write the undistorted photos of the reconstruction to images/ below `folder`, masks to masks/, and return the
+    views. The long side is at most `config.max_side`. The same files for any number of threads."""
+    index_of = {name: k for k, name in enumerate(photos.names)}
+    rows = [index_of[name] for name in reconstruction.names]
+    plans = [undistortion(_reduced(camera, config.max_side)) for camera in reconstruction.cameras]
+    chosen = [plans[camera] for camera in reconstruction.camera_ids]
+    (folder / "images").mkdir(parents=True, exist_ok=True)
+    (folder / "masks").mkdir(exist_ok=True)
+
+    def work(k: int) -> tuple[str, str | None]:
+        return _write(photos.folder, photos.photos[rows[k]], chosen[k], folder, f"{rows[k]:06d}.png")
+
+    written = []
+    with ThreadPoolExecutor(threads) as pool:
+        for done, files in enumerate(pool.map(work, range(len(rows))), 1):
+            written.append(files)
+            reporter.progress(done, len(rows), "undistorting")
+    missing = sorted(set(np.flatnonzero(photos.is_test)) - set(rows))
+    return Views(
         folder=folder,
         names=reconstruction.names,
-        images=tuple(_file("images", i) for i in range(len(jobs))),
-        masks=tuple(masks),
-        sizes=np.array([(r.camera.width, r.camera.height) for _, _, r in jobs], dtype=np.int64).reshape(-1, 2),
-        Ks=np.array([r.K for _, _, r in jobs]).reshape(-1, 3, 3),
+        images=tuple(image for image, _ in written),
+        masks=tuple(mask for _, mask in written),
+        sizes=np.array([[plan.camera.width, plan.camera.height] for plan in chosen], dtype=np.int64).reshape(-1, 2),
+        Ks=np.array([plan.camera.K for plan in chosen]).reshape(-1, 3, 3),
         viewmats=reconstruction.viewmats,
-        is_test=np.array([name in held_out for name in reconstruction.names], dtype=bool),
-        missing_test=tuple(sorted(held_out - set(reconstruction.names))),
+        is_test=photos.is_test[rows],
+        missing_test=tuple(photos.names[k] for k in missing),
     )
-    reporter.event("views", count=len(jobs), cameras=len(rectifiers), masked=sum(m is not None for m in masks))
-    return views
 
 
-def training_size(width: int, height: int, max_side: int | None) -> tuple[int, int]:
-    """Width and height shrunk to `max_side`, never enlarged."""
-    scale = 1.0 if max_side is None else min(1.0, max_side / max(width, height))
-    return max(1, round(width * scale)), max(1, round(height * scale))
+def undistortion(camera: Camera) -> Undistortion:
+    """The pinhole camera of the same size that shows as much as it can without blank pixels, and the maps to it.
+
+    A barrel's corners are cut off and a pincushion's edges filled by choosing the focal lengths, as COLMAP does with
+    blank_pixels = 0. Where a photo's border folds over (strong distortion) blank pixels may stay: they are masked."""
+    if np.abs(camera.distortion).max(initial=0.0) < _NO_DISTORTION and not camera.is_fisheye:
+        return Undistortion(Camera.pinhole(camera.width, camera.height, *camera.focal_and_center), None, None, None)
+    pinhole = _inscribed(camera)
+    shifted, target = _opencv_matrix(camera), _opencv_matrix(pinhole)
+    make_maps = cv2.fisheye.initUndistortRectifyMap if camera.is_fisheye else cv2.initUndistortRectifyMap
+    size = (pinhole.width, pinhole.height)
+    map_x, map_y = make_maps(shifted, camera.distortion, np.eye(3), target, size, cv2.CV_32FC1)
+    # Half a pixel beyond the outermost centres is still inside the photo; remap repeats the edge there.
+    inside = (map_x >= -0.5) & (map_x <= camera.width - 0.5) & (map_y >= -0.5) & (map_y <= camera.height - 0.5)
+    return Undistortion(pinhole, map_x, map_y, None if inside.all() else inside.astype(np.uint8) * 255)
 
 
-def _resized(image: np.ndarray, width: int, height: int) -> np.ndarray:
-    if image.shape[1] == width and image.shape[0] == height:
-        return image
-    return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+def _inscribed(camera: Camera) -> Camera:
+    """The pinhole camera whose image is the largest rectangle around the principal point in the undistorted one."""
+    fx, fy, cx, cy = camera.focal_and_center
+    width, height = camera.width, camera.height
+    t = np.linspace(0.0, 1.0, _BORDER_SAMPLES)
+    zeros, ones = np.zeros_like(t), np.ones_like(t)
+    left, right = np.stack([zeros, t * height], 1), np.stack([ones * width, t * height], 1)
+    top, bottom = np.stack([t * width, zeros], 1), np.stack([t * width, ones * height], 1)
+    rays = {side: _rays(camera, points) for side, points in zip("lrtb", (left, right, top, bottom), strict=True)}
+    half = {
+        "l": (-rays["l"][:, 0]).min(),
+        "r": rays["r"][:, 0].min(),
+        "t": (-rays["t"][:, 1]).min(),
+        "b": rays["b"][:, 1].min(),
+    }
+    limit = _WIDEST_FISHEYE if camera.is_fisheye else np.inf
+    half = {side: min(value, limit) if np.isfinite(value) and value > 0 else limit for side, value in half.items()}
+    # One scale for both axes keeps pixels square, so the larger of the two wins: nothing outside the photo is shown.
+    scale_x = max(cx / (fx * half["l"]), (width - cx) / (fx * half["r"]))
+    scale_y = max(cy / (fy * half["t"]), (height - cy) / (fy * half["b"]))
+    scale = max(scale_x, scale_y)
+    return Camera.pinhole(width, height, fx * scale, fy * scale, cx, cy)
 
 
-def _write(source: Path, folder: Path, i: int, photo: Photo, rectifier: Rectifier) -> str | None:
+def _rays(camera: Camera, points: np.ndarray) -> np.ndarray:
+    """[M, 2] undistorted coordinates at unit depth of image points [M, 2] px."""
+    undo = cv2.fisheye.undistortPoints if camera.is_fisheye else _undistort_points
+    return undo(points[:, None].astype(np.float64), camera.K, camera.distortion)[:, 0]
+
+
+def _undistort_points(points: np.ndarray, K: np.ndarray, distortion: np.ndarray) -> np.ndarray:
+    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)  # the default of 5 steps misses by pixels
+    return cv2.undistortPointsIter(points, K, distortion, np.eye(3), np.eye(3), stop)
+
+
+def _opencv_matrix(camera: Camera) -> np.ndarray:
+    """The intrinsic matrix in OpenCV's coordinates: its pixel centres are integers, ours lie at +0.5."""
+    K = camera.K
+    K[0, 2] -= 0.5
+    K[1, 2] -= 0.5
+    return K
+
+
+def _reduced(camera: Camera, max_side: int | None) -> Camera:
+    """The camera at the training size."""
+    longer = max(camera.width, camera.height)
+    if max_side is None or longer <= max_side:
+        return camera
+    scale = max_side / longer
+    return camera.scaled_to(max(1, round(camera.width * scale)), max(1, round(camera.height * scale)))
+
+
+def _write(source: Path, photo: Photo, plan: Undistortion, folder: Path, file: str) -> tuple[str, str | None]:
+    """Write one view's image, and its mask if any pixel is to be ignored. Returns their paths relative to `folder`."""
     image = cv2.imread(str(source / photo.pixels), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     if image is None:
-        raise DataError(f"{photo.name}: its decoded pixels are gone", hint="delete the cache folder and run again")
-    mask = None
-    if photo.mask is not None:
-        mask = cv2.imread(str(source / photo.mask), cv2.IMREAD_GRAYSCALE)
-        if mask is None:
-            raise DataError(f"{photo.name}: its decoded mask is gone", hint="delete the cache folder and run again")
-    _save(folder / _file("images", i), rectifier.image(image))
-    mask = rectifier.mask(mask)
+        raise OSError(f"{source / photo.pixels}: cannot read the decoded photo")
+    size = (plan.camera.width, plan.camera.height)
+    if image.shape[1::-1] != size:
+        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    if plan.map_x is not None:
+        image = cv2.remap(image, plan.map_x, plan.map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    _png(folder / "images" / file, image)
+    mask = _mask(source, photo, plan, size)
     if mask is None:
-        return None
-    _save(folder / _file("masks", i), mask)
-    return _file("masks", i)
+        return f"images/{file}", None
+    _png(folder / "masks" / file, mask)
+    return f"images/{file}", f"masks/{file}"
 
 
-def _file(kind: str, i: int) -> str:
-    return f"{kind}/{i:06d}.png"
+def _mask(source: Path, photo: Photo, plan: Undistortion, size: tuple[int, int]) -> np.ndarray | None:
+    """[H, W] uint8, 0 = ignore; None where every pixel counts."""
+    mask = plan.valid
+    if photo.mask is not None:
+        own = cv2.imread(str(source / photo.mask), cv2.IMREAD_GRAYSCALE)
+        if own is None:
+            raise OSError(f"{source / photo.mask}: cannot read the mask")
+        own = np.where(own > 127, 255, 0).astype(np.uint8)
+        if own.shape[1::-1] != size:
+            own = cv2.resize(own, size, interpolation=cv2.INTER_AREA)
+            own[own < 255] = 0  # a training pixel counts only if all that it is made of does
+        if plan.map_x is not None:
+            own = cv2.remap(own, plan.map_x, plan.map_y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
+        mask = own if mask is None else np.minimum(own, mask)
+    return mask
 
 
-def _save(path: Path, image: np.ndarray) -> None:
-    if not cv2.imwrite(str(path), image, _PNG):
-        raise DiskError(f"{path}: cannot be written", hint="free some space on the disk; the run continues there")
+def _png(path: Path, pixels: np.ndarray) -> None:
+    if not cv2.imwrite(str(path), pixels, [cv2.IMWRITE_PNG_COMPRESSION, 1]):
+        raise DiskError(f"{path}: could not be written", hint="is the disk full or the folder read-only?")
