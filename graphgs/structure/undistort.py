@@ -1,4 +1,4 @@
-"""From photos and their cameras to pinhole views at the training size: one resampling by area, one by OpenCV's remap."""
+"""From photos to pinhole views at the training size: one resampling by area, then one by OpenCV's remap."""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -119,7 +119,8 @@ def _rays(camera: Camera, points: np.ndarray) -> np.ndarray:
 
 def _undistort_points(points: np.ndarray, K: np.ndarray, distortion: np.ndarray) -> np.ndarray:
     stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)  # the default of 5 steps misses by pixels
-    return cv2.undistortPointsIter(points, K, distortion, np.eye(3), np.eye(3), stop)
+    undo = getattr(cv2, "undistortPointsIter", cv2.undistortPoints)  # one function since OpenCV 5
+    return undo(points, K, distortion, R=np.eye(3), P=np.eye(3), criteria=stop)
 
 
 def _opencv_matrix(camera: Camera) -> np.ndarray:
