@@ -6,6 +6,7 @@ import numpy as np
 
 from graphgs.progress import Reporter
 from graphgs.scene.reconstruction import Reconstruction
+from graphgs.structure.cameras import SharedCameras
 from graphgs.structure.pairing import Pairs, make_pairs
 from graphgs.structure.pairing_config import PairingConfig
 from graphgs.structure.prior import Prior
@@ -26,14 +27,14 @@ def candidate_pairs(config: PairingConfig, prior: Prior, *, reporter: Reporter, 
     row[placed], row[unplaced] = np.arange(len(placed)), len(placed) + np.arange(len(unplaced))
     in_order = np.stack([np.arange(len(names) - 1), np.arange(1, len(names))], axis=1)
     extra = np.concatenate([prior.similar_pairs(unplaced), in_order[np.isin(in_order, unplaced).any(1)]])
-    guide = prior.reconstruction if prior.source == "auto" else None
+    same_frame = prior.source in ("auto", "given") and prior.reconstruction is not None
     return make_pairs(
         config,
         list(names[placed]),
         prior.rotations[placed],
         prior.centers[placed],
-        fov_deg=None if guide is None else fields_of_view(guide),
-        depth_range=None if guide is None else depth_ranges(guide),
+        fov_deg=fields_of_view(prior.cameras)[placed],
+        depth_range=depth_ranges(prior.reconstruction) if same_frame else None,
         unplaced=list(names[unplaced]),
         extra=row[extra],
         reporter=reporter,
@@ -41,14 +42,14 @@ def candidate_pairs(config: PairingConfig, prior: Prior, *, reporter: Reporter, 
     )
 
 
-def fields_of_view(reconstruction: Reconstruction) -> np.ndarray:
-    """[N, 2] degrees, horizontal and vertical, distortion left out."""
+def fields_of_view(shared: SharedCameras) -> np.ndarray:
+    """[N, 2] degrees per photo, horizontal and vertical, distortion left out."""
     per_camera = []
-    for camera in reconstruction.cameras:
+    for camera in shared.cameras:
         fx, fy, _, _ = camera.focal_and_center
         half = np.arctan([camera.width / (2 * fx), camera.height / (2 * fy)])
         per_camera.append(np.degrees(2 * half))
-    return np.array(per_camera)[reconstruction.camera_ids]
+    return np.array(per_camera)[shared.camera_ids]
 
 
 def depth_ranges(reconstruction: Reconstruction) -> np.ndarray | None:

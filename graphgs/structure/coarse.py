@@ -176,10 +176,10 @@ def _reconstruct(
     with np.load(work / "verified.npz", allow_pickle=False) as arrays:
         edges = arrays["edges"]
     vote = _vote(worker, database, work, cameras)
-    hold = attempt.hold or not vote.decided
+    hold = attempt.hold or vote.flat
     cameras = rescaled(cameras, vote.scale)
     worker.run("set_cameras", database=database, cameras=cameras.records())
-    reporter.event("focal", scale=vote.scale, decided=vote.decided, pairs=vote.pairs)
+    reporter.event("focal", **dataclasses.asdict(vote))
     model = work / f"model_{attempt.seed}"
     if not model.exists():
         worker.run(
@@ -199,7 +199,7 @@ def _reconstruct(
     placed = 0 if found is None else len(found.names)
     reporter.event("coarse_attempt", **dataclasses.asdict(attempt), pairs=len(pairs), edges=len(edges), placed=placed)
     note = f"own reconstruction at {attempt.max_side} px places {placed} of {n} photos"
-    if not vote.decided:
+    if vote.flat:
         note += "; the photos do not determine the focal length, so it is held as given or typical"
     return _Found(found, cameras, hold, similar, edges, note)
 
@@ -217,7 +217,8 @@ def _vote(worker: ColmapWorker, database: Path, work: Path, cameras: SharedCamer
         i, j = camera[subset].T
         vote = vote_focal(F[subset], inliers[subset], Ks[i], Ks[j])
         if vote.decided:
-            break
+            # Only what guessed cameras say may move the guesses.
+            return vote if subset is guessed else dataclasses.replace(vote, scale=1.0)
     return vote
 
 

@@ -234,7 +234,8 @@ def triangulate(
     database: str,
     poses: str,  # folder of a Reconstruction whose names are pixel files
     out: str,
-    rounds: list[dict],  # per round: max_error_px, min_angle_deg, loss (a pycolmap LossFunctionType), loss_scale_px
+    rounds: list[dict],  # each: max_error_px, min_angle_deg, loss (a pycolmap LossFunctionType), loss_scale_px, and
+    # tolerance (relative decrease of the cost at which bundle adjustment stops)
     refine: list[str],  # of "poses", "intrinsics", "principal_point"
     seed: int,
     threads: int,
@@ -246,7 +247,8 @@ def triangulate(
     pycolmap.set_random_seed(seed)
     given = Reconstruction.load(Path(poses))
     with pycolmap.Database.open(database) as db:
-        cache = pycolmap.DatabaseCache.create(db, pycolmap.DatabaseCacheOptions())
+        # Poses that are kept stay even where no match supports them.
+        cache = pycolmap.DatabaseCache.create(db, pycolmap.DatabaseCacheOptions(load_all_images=not refine))
     model = pycolmap.Reconstruction()
     model.load(cache)
     ids = {image.name: image_id for image_id, image in model.images.items()}
@@ -287,9 +289,12 @@ def _round(mapper, model, step: dict, refine: list[str], seed: int, threads: int
         adjustment.ceres.loss_function_type = getattr(pycolmap.LossFunctionType, step["loss"])
         adjustment.ceres.loss_function_scale = step["loss_scale_px"]
         adjustment.ceres.solver_options.num_threads = threads
-        adjustment.ceres.solver_options.max_num_iterations = 50
+        adjustment.ceres.solver_options.max_num_iterations = 100
+        adjustment.ceres.solver_options.function_tolerance = step["tolerance"]
         mapper.adjust_global_bundle(options, adjustment)
     mapper.filter_points(options)
+    if refine:
+        mapper.filter_frames(options)  # photos that no point supports any more
 
 
 def _camera(camera_id: int, fields: dict) -> pycolmap.Camera:

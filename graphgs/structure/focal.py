@@ -11,7 +11,8 @@ import numpy as np
 
 TYPICAL_FOCAL = 26 / 36  # of the longer side: the 26 mm equivalent of phone, action and drone cameras
 _SCALES = np.geomspace(0.4, 3.0, 81)  # of the starting focal length
-_FEWEST_PAIRS = 3
+_FEWEST_PAIRS = 3  # to decide, given a sharp minimum
+_FEWEST_PAIRS_FLAT = 10  # to call the vote flat
 _FEWEST_INLIERS = 30
 _CAP = 0.3  # of a pair's cost: a wrong F must not outvote the rest
 _FLOOR = 0.005  # cost of a fundamental matrix without error but for noise
@@ -22,6 +23,7 @@ _CONTRAST = 1.5  # the cost grows at least so much when f doubles or halves, els
 class FocalVote:
     scale: float  # of the starting focal lengths; 1 where undecided
     decided: bool
+    flat: bool  # enough pairs voted, and any focal length fits them: the photos do not determine it
     pairs: int  # that voted
 
 
@@ -36,7 +38,7 @@ def vote_focal(
     F, weight = fundamentals[strong], np.sqrt(inliers[strong].astype(float))
     K_i, K_j = intrinsics_i[strong], intrinsics_j[strong]
     if len(F) < _FEWEST_PAIRS:
-        return FocalVote(1.0, False, len(F))
+        return FocalVote(1.0, False, False, len(F))
     cost = np.array([np.average(_asymmetry(F, K_i, K_j, s), weights=weight) for s in _SCALES]) + _FLOOR
     best = int(cost.argmin())
     step = np.log(_SCALES[1] / _SCALES[0])
@@ -44,11 +46,11 @@ def vote_focal(
     # At the edge of the scan the side that is cut off cannot object.
     sides = [cost[k] / cost[best] for k in (best - octave, best + octave) if 0 <= k < len(cost)]
     if not sides or min(sides) < _CONTRAST or best in (0, len(cost) - 1):
-        return FocalVote(1.0, False, len(F))
+        return FocalVote(1.0, False, len(F) >= _FEWEST_PAIRS_FLAT, len(F))
     left, middle, right = cost[best - 1 : best + 2]
     bend = left - 2 * middle + right
     shift = 0.5 * (left - right) / bend if bend > 0 else 0.0
-    return FocalVote(float(np.exp(np.log(_SCALES[best]) + shift * step)), True, len(F))
+    return FocalVote(float(np.exp(np.log(_SCALES[best]) + shift * step)), True, False, len(F))
 
 
 def _asymmetry(F: np.ndarray, K_i: np.ndarray, K_j: np.ndarray, scale: float) -> np.ndarray:

@@ -4,8 +4,8 @@ from itertools import pairwise
 
 import numpy as np
 
-_TRAINING_DESCRIPTORS = 30_000  # enough for 64 words, and a bound on the time
-_TRAINING_ROUNDS = 12
+_TRAINING_DESCRIPTORS = 12_000  # enough for 64 words, and a bound on the time
+_TRAINING_ROUNDS = 10
 
 
 def similar_photos(
@@ -17,9 +17,11 @@ def similar_photos(
     seed: int,
 ) -> np.ndarray:
     """[N, neighbors] int, the most similar other photos of each, best first; -1 where there are no more."""
-    signatures = _signatures(descriptors, offsets, words=words, seed=seed)
-    n = len(signatures)
+    n = len(offsets) - 1
     result = np.full((n, neighbors), -1, dtype=np.int64)
+    if len(descriptors) == 0:
+        return result
+    signatures = _signatures(descriptors, offsets, words=words, seed=seed)
     for first in range(0, n, 512):
         similarity = signatures[first : first + 512] @ signatures.T
         similarity[np.arange(len(similarity)), np.arange(first, first + len(similarity))] = -np.inf
@@ -33,7 +35,7 @@ def _signatures(descriptors: np.ndarray, offsets: np.ndarray, *, words: int, see
     rng = np.random.default_rng(seed)
     total = len(descriptors)
     sample = np.sort(rng.choice(total, min(total, _TRAINING_DESCRIPTORS), replace=False))
-    vocabulary = _train(_unit(descriptors[sample]), min(words, max(1, len(sample))), rng)
+    vocabulary = _train(_unit(descriptors[sample]), min(words, len(sample)), rng)
     signatures = np.zeros((len(offsets) - 1, len(vocabulary), descriptors.shape[1]), np.float32)
     for i, (first, last) in enumerate(pairwise(offsets)):
         features = _unit(descriptors[first:last])
@@ -46,7 +48,7 @@ def _signatures(descriptors: np.ndarray, offsets: np.ndarray, *, words: int, see
 
 def _train(sample: np.ndarray, words: int, rng: np.random.Generator) -> np.ndarray:
     """k-means centres [words, 128] of unit descriptors; a word that loses all its members keeps its place."""
-    centers = sample[rng.choice(len(sample), words, replace=False)] if len(sample) else sample
+    centers = sample[rng.choice(len(sample), words, replace=False)]
     for _ in range(_TRAINING_ROUNDS):
         sums, counts = _by_word(sample, _nearest(sample, centers), len(centers))
         centers = np.where(counts > 0, sums / np.maximum(counts, 1), centers)
@@ -61,8 +63,6 @@ def _by_word(features: np.ndarray, nearest: np.ndarray, words: int) -> tuple[np.
 
 def _nearest(features: np.ndarray, centers: np.ndarray) -> np.ndarray:
     """[F] index of the nearest centre by squared distance; the features' own norm does not matter."""
-    if len(features) == 0:
-        return np.zeros(0, np.int64)
     return np.argmin((centers**2).sum(1) - 2.0 * features @ centers.T, axis=1)
 
 

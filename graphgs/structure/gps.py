@@ -1,0 +1,44 @@
+"""GPS positions as metres around their middle."""
+
+import numpy as np
+
+_EQUATOR_M = 6378137.0  # WGS84 semi-major axis
+_FLATTENING = 1.0 / 298.257223563
+_ECCENTRICITY2 = _FLATTENING * (2.0 - _FLATTENING)
+
+
+def enu_from_wgs84(
+    positions: np.ndarray,  # [N, 3] latitude and longitude [deg], altitude above the ellipsoid [m]
+) -> np.ndarray:
+    """[N, 3] east, north, up [m], with the origin at the median position."""
+    origin = np.median(positions, axis=0)
+    # Longitudes around +-180 degrees lie side by side.
+    turned = positions.copy()
+    turned[:, 1] = (positions[:, 1] - positions[0, 1] + 180.0) % 360.0 - 180.0 + positions[0, 1]
+    origin[1] = np.median(turned[:, 1])
+    offset = _ecef(turned) - _ecef(origin[None])
+    latitude, longitude = np.radians(origin[:2])
+    sin_lat, cos_lat, sin_lon, cos_lon = np.sin(latitude), np.cos(latitude), np.sin(longitude), np.cos(longitude)
+    enu_from_ecef = np.array(
+        [
+            [-sin_lon, cos_lon, 0.0],
+            [-sin_lat * cos_lon, -sin_lat * sin_lon, cos_lat],
+            [cos_lat * cos_lon, cos_lat * sin_lon, sin_lat],
+        ]
+    )
+    return offset @ enu_from_ecef.T
+
+
+def _ecef(positions: np.ndarray) -> np.ndarray:
+    """[N, 3] m, earth-centred and earth-fixed."""
+    latitude, longitude = np.radians(positions[:, 0]), np.radians(positions[:, 1])
+    altitude = positions[:, 2]
+    normal = _EQUATOR_M / np.sqrt(1.0 - _ECCENTRICITY2 * np.sin(latitude) ** 2)
+    return np.stack(
+        [
+            (normal + altitude) * np.cos(latitude) * np.cos(longitude),
+            (normal + altitude) * np.cos(latitude) * np.sin(longitude),
+            (normal * (1.0 - _ECCENTRICITY2) + altitude) * np.sin(latitude),
+        ],
+        axis=1,
+    )

@@ -1,0 +1,131 @@
+"""Priors from elsewhere than a coarse reconstruction: file order, GPS, a pose file, poses that came with the input.
+
+All but the last only choose pairs. They keep our own coarse reconstruction, where there is one, for the final poses to
+start from and be compared with; so a wrong prior cannot bend the result.
+"""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+from graphgs.errors import DataError
+from graphgs.progress import Reporter
+from graphgs.sources.photos import Photos
+from graphgs.structure.cameras import SharedCameras, shared_cameras
+from graphgs.structure.coarse import coarse_poses
+from graphgs.structure.config import StructureConfig
+from graphgs.structure.gps import enu_from_wgs84
+from graphgs.structure.prior import Prior, poses_by_name
+
+_FEWEST_GPS = 3
+
+
+def own_prior(
+    config: StructureConfig,
+    photos: Photos,
+    *,
+    scratch: Path,
+    reporter: Reporter,
+    threads: int,
+    seed: int,
+) -> Prior:
+    """The coarse reconstruction, or nothing placed where it fails: enough below a prior from elsewhere."""
+    try:
+        return coarse_poses(config, photos, scratch=scratch, reporter=reporter, threads=threads, seed=seed)
+    except DataError as error:
+        reporter.warn(f"no coarse reconstruction to compare with: {error.message}")
+    n = len(photos.photos)
+    return Prior(
+        names=photos.names,
+        placed=np.zeros(n, dtype=bool),
+        rotations=np.tile(np.eye(3), (n, 1, 1)),
+        centers=np.full((n, 3), np.nan),
+        cameras=shared_cameras(photos),
+        hold_intrinsics=False,
+        source="auto",
+        note="no coarse reconstruction",
+    )
+
+
+def sequence_prior(own: Prior) -> Prior:
+    """File order only: as if the photos lay evenly on a line."""
+    n = len(own.names)
+    centers = np.zeros((n, 3))
+    centers[:, 0] = np.arange(n)
+    return _guided(own, np.ones(n, dtype=bool), None, centers, "sequence", "file order")
+
+
+def gps_prior(own: Prior, photos: Photos) -> Prior:
+    """EXIF positions in local east, north, up [m]. Without orientations: a phone's GPS is too coarse to turn the coarse
+    reconstruction into its frame, so pairs are not filtered."""
+    placed = np.array([photo.gps is not None for photo in photos.photos], dtype=bool)
+    if placed.sum() < _FEWEST_GPS:
+        raise DataError(
+            f"only {placed.sum()} of {len(placed)} photos carry GPS positions in EXIF",
+            hint="use --prior auto, which needs none",
+        )
+    centers = np.full((len(placed), 3), np.nan)
+    centers[placed] = enu_from_wgs84(np.array([photo.gps for photo in photos.photos if photo.gps is not None]))
+    return _guided(own, placed, None, centers, "gps", f"EXIF GPS of {placed.sum()} of {len(placed)} photos")
+
+
+def poses_prior(
+    own: Prior,
+    names: tuple[str, ...],  # [M] photos with a pose
+    rotations: np.ndarray,  # [M, 3, 3] camera-from-world
+    centers: np.ndarray,  # [M, 3] world
+    *,
+    note: str,
+) -> Prior:
+    """Poses from a file, to choose pairs."""
+    row = {name: k for k, name in enumerate(names)}
+    placed = np.array([name in row for name in own.names], dtype=bool)
+    rows = np.array([row[name] for name in own.names if name in row], dtype=np.int64)
+    all_rotations = np.tile(np.eye(3), (len(own.names), 1, 1))
+    all_centers = np.full((len(own.names), 3), np.nan)
+    all_rotations[placed], all_centers[placed] = rotations[rows], centers[rows]
+    return _guided(own, placed, all_rotations, all_centers, "poses", note)
+
+
+def given_prior(photos: Photos) -> Prior:
+    """The poses and intrinsics that came with the input, to be kept or refined. Photos without one stay out."""
+    given = photos.given
+    placed, rotations, centers = poses_by_name(photos.names, given)
+    return Prior(
+        names=photos.names,
+        placed=placed,
+        rotations=rotations,
+        centers=centers,
+        cameras=_given_cameras(photos),
+        hold_intrinsics=False,
+        source="given",
+        note=f"poses of {placed.sum()} of {len(placed)} photos came with the input",
+        reconstruction=given,
+    )
+
+
+def _given_cameras(photos: Photos) -> SharedCameras:
+    """The given cameras, and our own guess for photos that have none."""
+    given, guess = photos.given, shared_cameras(photos)
+    row = {name: k for k, name in enumerate(given.names)}
+    ids = [
+        given.camera_ids[row[name]] if name in row else len(given.cameras) + camera
+        for name, camera in zip(photos.names, guess.camera_ids, strict=True)
+    ]
+    known = (True,) * len(given.cameras) + guess.known
+    return SharedCameras(given.cameras + guess.cameras, known, np.array(ids, dtype=np.int64))
+
+
+def _guided(
+    own: Prior, placed: np.ndarray, rotations: np.ndarray | None, centers: np.ndarray, source: str, note: str
+) -> Prior:
+    return dataclasses.replace(
+        own,
+        placed=placed,
+        rotations=np.tile(np.eye(3), (len(placed), 1, 1)) if rotations is None else rotations,
+        centers=centers,
+        source=source,
+        note=f"{note}; {own.note}",
+        oriented=rotations is not None,
+    )
