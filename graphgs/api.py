@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from graphgs.config import Config, preset, with_file, with_settings
+from graphgs.config import Config, check_numbers, preset, with_file, with_settings
 from graphgs.console import RunReporter
 from graphgs.errors import UsageError
 from graphgs.options import SETTING_OF_OPTION, Options
@@ -34,8 +34,12 @@ class RunResult:
 
 
 def settings(options: Options, extra: Iterable[str] = (), *, base: Config | None = None) -> Config:
-    """The config the options ask for: preset (or `base`), then the file, then options, then `stage.field=value`."""
-    config = preset(options.preset) if base is None else base
+    """The config the options ask for: `base`, then the preset, the file, the options, `stage.field=value`.
+    Raises UsageError for a value that no stage could work with."""
+    if base is None:
+        config = preset(options.preset or "standard")
+    else:
+        config = base if options.preset is None else preset(options.preset, base)
     if options.config is not None:
         config = with_file(config, options.config)
     given = [
@@ -46,7 +50,9 @@ def settings(options: Options, extra: Iterable[str] = (), *, base: Config | None
     if options.allow_partial:
         given.append("run.allow_partial=true")
     config = with_settings(config, [*given, *extra])
-    _check(config)
+    check_numbers(config)
+    if options.threads is not None and options.threads < 1:
+        raise UsageError(f"--threads {options.threads}: expected at least 1", hint="correct the value")
     return config
 
 
@@ -105,7 +111,7 @@ def train(
         raise UsageError(
             f"{folder}: no scene there (run.toml is missing)", hint="run `graphgs pose PHOTOS SCENE` first"
         )
-    config = settings(chosen, settings_extra, base=with_file(preset(chosen.preset), folder / "run.toml"))
+    config = settings(chosen, settings_extra, base=with_file(Config(), folder / "run.toml"))
     with _opened(None, folder, config, chosen, reporter) as job:
         return _finish(job, resume_poses(job), command or f"graphgs.api.train({str(scene)!r})")
 
@@ -132,6 +138,8 @@ class _opened:
     def __enter__(self) -> Run:
         if self._source is not None and not self._source.exists():
             raise UsageError(f"{self._source} does not exist", hint="give a folder of photos")
+        if self._source is not None and self._source.resolve() == self._output.resolve():
+            raise UsageError(f"{self._output}: input and output are the same", hint="choose another output folder")
         device = choose_device(self._config.run.device)
         self._workspace = Workspace(self._output)
         if self._options.threads is not None:
@@ -158,9 +166,13 @@ def choose_device(name: str) -> str:
         return name
     if not name.startswith("cuda"):
         raise UsageError(f"--device {name}: not a device", hint="choose auto, cpu or cuda:0")
-    if not torch.cuda.is_available():
+    cards = torch.cuda.device_count() if torch.cuda.is_available() else 0
+    if cards == 0:
         raise UsageError(f"--device {name}: no CUDA card can be used here", hint="use --device cpu or auto")
-    return "cuda:0" if name == "cuda" else name
+    wanted = "cuda:0" if name == "cuda" else name
+    if wanted not in (there := [f"cuda:{k}" for k in range(cards)]):
+        raise UsageError(f"--device {name}: there is no such card", hint=f"choose one of {', '.join(there)}")
+    return wanted
 
 
 def _options(given: dict[str, Any]) -> Options:
@@ -171,15 +183,3 @@ def _options(given: dict[str, Any]) -> Options:
     if given.get("config") is not None:
         given = {**given, "config": Path(given["config"])}
     return Options(**given)
-
-
-def _check(config: Config) -> None:
-    """Numbers that no stage could work with."""
-    for name, value, least in (
-        ("--steps", config.training.steps, 1),
-        ("--max-side", config.structure.max_side, 32),
-        ("--max-splats", config.training.max_splats, 1),
-        ("--seed", config.run.seed, 0),
-    ):
-        if value is not None and value < least:
-            raise UsageError(f"{name} {value}: expected at least {least}", hint="correct the value")

@@ -2,6 +2,7 @@
 
 import dataclasses
 import errno
+import shlex
 import signal
 import sys
 import tempfile
@@ -18,6 +19,8 @@ from graphgs.options import Options
 from graphgs.synth.street import StreetConfig
 
 Settings = Annotated[UseAppendAction[tuple[str, ...]], arg(name="set", metavar="STAGE.FIELD=VALUE")]
+Input = Annotated[Positional[Path], arg(metavar="INPUT")]
+Output = Annotated[Positional[Path], arg(metavar="OUTPUT")]
 Scene = Annotated[Positional[Path], arg(metavar="SCENE")]
 
 app = tyro.extras.SubcommandApp()
@@ -25,8 +28,8 @@ app = tyro.extras.SubcommandApp()
 
 @app.command
 def run(
-    input: Positional[Path],
-    output: Positional[Path],
+    input: Input,
+    output: Output,
     options: OmitArgPrefixes[Options] = Options(),  # noqa: B008 - frozen
     settings: Settings = (),
     json: bool = False,
@@ -47,8 +50,8 @@ def run(
 
 @app.command
 def pose(
-    input: Positional[Path],
-    output: Positional[Path],
+    input: Input,
+    output: Output,
     options: OmitArgPrefixes[Options] = Options(),  # noqa: B008 - frozen
     settings: Settings = (),
     json: bool = False,
@@ -88,7 +91,7 @@ def train(
 
 
 @app.command
-def check(input: Positional[Path], options: OmitArgPrefixes[Options] = Options()) -> None:  # noqa: B008 - frozen
+def check(input: Input, options: OmitArgPrefixes[Options] = Options()) -> None:  # noqa: B008 - frozen
     """Look at the input without working on it: what would be used, what not and why, and what a run would cost.
 
     Args:
@@ -116,9 +119,7 @@ def evaluate(scene: Scene, device: str = "auto") -> None:
 
 
 @app.command
-def render(
-    scene: Scene, output: Positional[Path], views: Literal["test", "train", "all"] = "test", device: str = "auto"
-) -> None:
+def render(scene: Scene, output: Output, views: Literal["test", "train", "all"] = "test", device: str = "auto") -> None:
     """Render splat.ply of a scene folder from its own cameras.
 
     Args:
@@ -136,7 +137,7 @@ def render(
 @app.command
 def synth(
     kind: Positional[Literal["street"]],
-    output: Positional[Path],
+    output: Output,
     config: OmitArgPrefixes[StreetConfig] = StreetConfig(),  # noqa: B008 - frozen
 ) -> None:
     """Make a photo set whose true poses and depths are known.
@@ -203,7 +204,7 @@ def _arguments(options: Options, settings: tuple[str, ...], json: bool) -> dict:
     return given | {
         "settings_extra": settings,
         "reporter": RunReporter(as_json=json),
-        "command": " ".join(["graphgs", *sys.argv[1:]]),
+        "command": shlex.join(["graphgs", *sys.argv[1:]]),
     }
 
 

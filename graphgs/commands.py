@@ -1,6 +1,7 @@
 """The commands beside run, pose and train: check, eval, render, synth."""
 
 import json
+import tempfile
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,13 +18,14 @@ from graphgs.evaluation.picture_names import picture_names
 from graphgs.export.ply import read_ply
 from graphgs.forecast import forecast
 from graphgs.options import Options
+from graphgs.outputs import publish_pictures
 from graphgs.pipeline import VIEWS
 from graphgs.rendering.splats import Splats
 from graphgs.scene.views import Views
 from graphgs.sources import scan
 from graphgs.synth.street import StreetConfig, write_street
 from graphgs.threads import get_num_threads
-from graphgs.workspace import Workspace, write_json
+from graphgs.workspace import Workspace, make_writable, write_json
 
 _NAMES_SHOWN = 10
 
@@ -54,11 +56,11 @@ def check(source: Path, options: Options) -> Iterator[str]:
 def evaluate_scene(scene: Path, *, device: str) -> Iterator[str]:
     """Measure splat.ply on the held-out views; pictures and evaluation.json go into eval/."""
     splats, views = _scene(scene)
-    folder = scene / "eval"
-    result = evaluate(
-        splats, views, folder, device=choose_device(device), threads=get_num_threads(), reporter=RunReporter(quiet=True)
-    )
-    result.save(folder)
+    device, threads = choose_device(device), get_num_threads()
+    with tempfile.TemporaryDirectory(dir=scene, prefix=".eval-") as made:
+        result = evaluate(splats, views, Path(made), device=device, threads=threads, reporter=RunReporter(quiet=True))
+        publish_pictures(Path(made), scene / "eval")
+    result.save(scene / "eval")
     for view in result.views:
         yield f"{view.psnr:6.2f} dB  SSIM {view.ssim:.4f}  {view.name}"
     for name in result.missing:
@@ -73,14 +75,12 @@ def render_scene(scene: Path, output: Path, *, views: Literal["test", "train", "
     wanted = {"test": posed.is_test, "train": ~posed.is_test, "all": np.ones(len(posed.names), bool)}[views]
     splats = splats.to(choose_device(device))
     chosen = np.flatnonzero(wanted)
-    try:
-        for i, name in zip(chosen, picture_names(tuple(posed.names[k] for k in chosen)), strict=True):
-            path = output / f"{name}.png"
-            path.parent.mkdir(parents=True, exist_ok=True)
-            image = (render_view(splats, posed, i) * 255.0 + 0.5).astype(np.uint8)
-            path.write_bytes(cv2.imencode(".png", image[..., ::-1])[1].tobytes())
-    except PermissionError as error:
-        raise UsageError(f"{output}: cannot write there", hint="choose a folder you may write to") from error
+    make_writable(output)
+    for i, name in zip(chosen, picture_names(tuple(posed.names[k] for k in chosen)), strict=True):
+        path = output / f"{name}.png"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        image = (render_view(splats, posed, i) * 255.0 + 0.5).astype(np.uint8)
+        path.write_bytes(cv2.imencode(".png", image[..., ::-1])[1].tobytes())
     return len(chosen)
 
 
@@ -90,6 +90,7 @@ def synthesize(kind: Literal["street"], output: Path, config: StreetConfig) -> s
     wanted = {"kind": kind, **{name: getattr(config, name) for name in config.__dataclass_fields__}}
     if made.is_file() and json.loads(made.read_text()) == wanted:
         return f"{output}: already there"
+    make_writable(output)
     street = write_street(config, output, reporter=RunReporter(), threads=get_num_threads())
     write_json(made, wanted)
     return f"{len(street.reconstruction.names)} photos in {street.images}, their true poses in {street.truth}"

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 import tomllib
 import types
 import typing
@@ -58,9 +59,32 @@ PRESETS: dict[Preset, dict[str, dict[str, Any]]] = {
     },
 }
 
+# What numbers may be: at least 0, shares at most 1, and otherwise as said here.
+_AT_LEAST = {"structure.fine_first_octave": -1} | dict.fromkeys(
+    (
+        "training.steps", "training.max_splats", "training.sh_degree_interval", "training.densify_interval",
+        "training.opacity_reset_interval", "training.consistency_interval", "pairing.r", "pairing.w",
+        "structure.retrieval_words", "structure.coarse_features", "structure.coarse_retry_features",
+        "structure.fine_features", "structure.chunk_pairs", "points.target",
+    ), 1,
+) | dict.fromkeys(
+    (
+        "sources.decode_max_side", "structure.coarse_max_side", "structure.coarse_retry_max_side",
+        "structure.fine_max_side", "structure.max_side",
+    ), 32,
+)  # fmt: skip
+_AT_MOST = {
+    "training.sh_degree": 3,
+    "training.ssim_weight": 1,
+    "training.initial_opacity": 1,
+    "structure.min_registered": 1,
+    "structure.fine_first_octave": 4,
+}
 
-def preset(name: Preset) -> Config:
-    config = Config()
+
+def preset(name: Preset, base: Config | None = None) -> Config:
+    """`base` (default: every default) with the values of a preset."""
+    config = Config() if base is None else base
     for stage, values in PRESETS[name].items():
         config = config.replace(stage, **values)
     return config
@@ -95,13 +119,26 @@ def with_file(config: Config, path: Path) -> Config:
     return config
 
 
+def check_numbers(config: Config) -> None:
+    """Raises UsageError for a number that no stage could work with."""
+    for stage, values in dataclasses.asdict(config).items():
+        for field_name, value in values.items():
+            if isinstance(value, bool) or not isinstance(value, (int, float)):
+                continue
+            name = f"{stage}.{field_name}"
+            least, most = _AT_LEAST.get(name, 0), _AT_MOST.get(name, 1 if name.endswith("_fraction") else math.inf)
+            if not least <= value <= most:
+                bounds = f"at least {least}" if most == math.inf else f"{least} to {most}"
+                raise UsageError(f"{name} = {value}: expected {bounds}", hint="correct the value")
+
+
 def to_toml(config: Config, made_by: dict[str, str]) -> str:
-    """Every setting, with its stage as a table; None is left out, as TOML has no such value."""
+    """Every setting, with its stage as a table; None, which TOML does not have, is the word "none"."""
     tables = {"made_by": made_by} | dataclasses.asdict(config)
     lines = []
     for stage, values in tables.items():
         lines.append(f"[{stage}]")
-        lines += [f"{name} = {_toml_value(value)}" for name, value in values.items() if value is not None]
+        lines += [f"{name} = {_toml_value(value)}" for name, value in values.items()]
         lines.append("")
     return "\n".join(lines)
 
@@ -113,14 +150,17 @@ def _with_value(config: Config, stage: str, name: str, value: Any, *, where: str
     kinds = typing.get_type_hints(type(getattr(config, stage)))
     if name not in kinds:
         raise UsageError(f"{where}: {stage} has no setting '{name}'", hint=f"it has {', '.join(kinds)}")
-    return config.replace(stage, **{name: parse_value(value, kinds[name], where=where)})
+    try:
+        return config.replace(stage, **{name: parse_value(value, kinds[name], where=where)})
+    except ValueError as error:  # the stage's own check
+        raise UsageError(f"{where}: {error}", hint="correct the value") from error
 
 
 def parse_value(value: Any, kind: Any, *, where: str) -> Any:
     """`value` (text, or a TOML value) as `kind`. Raises UsageError if it is not one."""
     origin, choices = typing.get_origin(kind), typing.get_args(kind)
     if origin in (typing.Union, types.UnionType):
-        if value in ("none", "None"):
+        if value in (None, "none", "None"):
             return None
         return parse_value(value, next(k for k in choices if k is not type(None)), where=where)
     if origin is Literal:
@@ -133,15 +173,17 @@ def parse_value(value: Any, kind: Any, *, where: str) -> Any:
             return value if isinstance(value, bool) else words[value.lower()]
     elif not isinstance(value, bool):
         try:
-            number = kind(value)
-            if kind is not int or float(value) == number:
-                return number
-        except (TypeError, ValueError):
+            parsed = kind(value)
+            if kind is str or (math.isfinite(parsed) and float(value) == parsed):
+                return parsed
+        except (TypeError, ValueError, OverflowError):
             pass  # said below, as for any other value that does not fit
     raise UsageError(f"{where}: expected {getattr(kind, '__name__', kind)}, got '{value}'", hint="correct the value")
 
 
 def _toml_value(value: Any) -> str:
+    if value is None:
+        return '"none"'
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, (int, float)):

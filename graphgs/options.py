@@ -9,8 +9,9 @@ from typing import Literal
 class Options:
     """The settings people change most; None leaves what the preset or the file says."""
 
-    preset: Literal["preview", "standard", "best"] = "standard"
-    """How long to train and how large: preview is minutes on a laptop, best is the field's full length."""
+    preset: Literal["preview", "standard", "best"] | None = None
+    """How long to train and how large: preview is minutes on a laptop, standard (the default) an evening on a CPU,
+    best is the field's full length."""
     device: str | None = None
     """Where training runs: auto, cpu, cuda:0."""
     max_side: int | None = None

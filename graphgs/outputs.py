@@ -3,9 +3,7 @@
 import dataclasses
 import os
 import platform
-import shlex
 import shutil
-import sys
 import time
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
@@ -60,7 +58,7 @@ def write_outputs(run: Run, posed: Posed, made: Made | None, *, command: str, st
     )  # fmt: skip
     if made is not None:
         write_ply(made.trained.splats, output / "splat.ply")
-        _publish(run.workspace.cache / "10_evaluation", output / "eval")
+        publish_pictures(run.workspace.cache / "10_evaluation", output / "eval")
     run.seconds["outputs"] = round(time.perf_counter() - started, 3)
     metrics = collect_metrics(run, posed, made, versions, status)
     write_json(output / "metrics.json", metrics)
@@ -144,10 +142,6 @@ def installed_versions() -> dict[str, str]:
         except PackageNotFoundError:
             found[name] = "not installed as a package"
     return found
-
-
-def command_line() -> str:
-    return shlex.join(["graphgs", *sys.argv[1:]])
 
 
 def _write_settings(run: Run, versions: dict[str, str]) -> None:
@@ -254,7 +248,7 @@ def _plain(view) -> dict[str, Any]:
     return {"name": view.name, "psnr": view.psnr, "ssim": view.ssim}
 
 
-def _publish(source: Path, target: Path) -> None:
+def publish_pictures(source: Path, target: Path) -> None:
     """The pictures of a stage under the output folder, as hard links where possible: the cache may be deleted."""
     partial = target.with_name(f".{target.name}.partial")
     if partial.exists():

@@ -66,19 +66,9 @@ class Workspace:
     """An output folder. Raises UsageError where it cannot be written or another run is at work in it."""
 
     def __init__(self, output: Path):
-        self.output = output
-        try:
-            output.mkdir(parents=True, exist_ok=True)
-            self.cache = output / "cache"
-            self.cache.mkdir(exist_ok=True)
-            with tempfile.TemporaryFile(dir=output):
-                pass
-        except OSError as error:
-            if error.errno == errno.ENOSPC:
-                raise
-            raise UsageError(
-                f"{output}: cannot write there ({error.strerror})", hint="choose an output folder you may write to"
-            ) from error
+        self.output, self.cache = output, output / "cache"
+        make_writable(output)
+        make_writable(self.cache)
         self._lock = _lock(self.cache / "lock", output)
 
     def close(self) -> None:
@@ -139,6 +129,21 @@ class Workspace:
         return None if record is None else Found(self.cache / stage.folder, record["key"], record["seconds"])
 
 
+def make_writable(folder: Path) -> None:
+    """Make the folder if it is not there. Raises UsageError where files cannot be written into it."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        reason = "a file is in the way" if isinstance(error, (FileExistsError, NotADirectoryError)) else error.strerror
+        raise UsageError(
+            f"{folder}: cannot write there ({reason})", hint="choose an output folder you may write to"
+        ) from error
+
+
 def digest(value: Any) -> str:
     """Hash of plain data, independent of the order of dictionary keys."""
     return hashlib.sha256(json.dumps(value, sort_keys=True, default=str).encode()).hexdigest()
@@ -192,9 +197,9 @@ def _sync_file(path: Path) -> None:
 def _read_record(folder: Path) -> dict | None:
     try:
         record = json.loads((folder / "stage.json").read_text())
-    except (FileNotFoundError, NotADirectoryError, json.JSONDecodeError):
+    except (FileNotFoundError, NotADirectoryError, ValueError):  # ValueError: damaged
         return None
-    return record if {"key", "seconds"} <= record.keys() else None
+    return record if isinstance(record, dict) and {"key", "seconds"} <= record.keys() else None
 
 
 def _scratch(folder: Path, key: str) -> Path:
@@ -208,7 +213,10 @@ def _scratch(folder: Path, key: str) -> Path:
 
 
 def _remove(folder: Path) -> None:
+    """Delete a folder; what says that it is whole goes first, as a kill may leave half of the rest."""
     if folder.is_dir():
+        for mark in ("stage.json", "key"):
+            (folder / mark).unlink(missing_ok=True)
         shutil.rmtree(folder)
 
 
