@@ -17,6 +17,7 @@ from graphgs.structure.acceptance import Agreement, agreement
 from graphgs.structure.colmap import ColmapWorker
 from graphgs.structure.colors import colored
 from graphgs.structure.config import StructureConfig
+from graphgs.structure.given import map_given
 from graphgs.structure.matching import Matches
 from graphgs.structure.model_calls import ModelCalls
 from graphgs.structure.prior import Prior
@@ -52,10 +53,13 @@ def map_fine(
     threads: int,
     seed: int,
 ) -> Structure:
-    """Climb the ladder until a reconstruction is accepted; else the best there is, not accepted.
+    """Climb the ladder until a reconstruction is accepted; else the best there is, not accepted. A prior of given poses
+    leads to `map_given` instead.
 
     Each mapping call leaves its model in `scratch`: a killed run repeats at most one. Raises DataError when nothing
     could be reconstructed."""
+    if prior.source == "given":
+        return map_given(config, photos, matches, prior, scratch=scratch, reporter=reporter, threads=threads, seed=seed)
     component = matches.component
     with ColmapWorker(scratch) as worker:
         mapper = ModelCalls(config, photos, matches, prior, worker, scratch, reporter, threads, seed)

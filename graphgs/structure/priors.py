@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from graphgs.errors import DataError
+from graphgs.errors import DataError, UsageError
 from graphgs.progress import Reporter
 from graphgs.sources.photos import Photos
+from graphgs.sources.poses import read_poses
 from graphgs.structure.cameras import SharedCameras, shared_cameras
 from graphgs.structure.coarse import coarse_poses
 from graphgs.structure.config import StructureConfig
@@ -19,6 +20,38 @@ from graphgs.structure.gps import enu_from_wgs84
 from graphgs.structure.prior import Prior, poses_by_name
 
 _FEWEST_GPS = 3
+
+
+def make_prior(
+    config: StructureConfig,
+    photos: Photos,
+    *,
+    wanted: str,  # auto | sequence | gps | poses=FILE
+    scratch: Path,
+    reporter: Reporter,
+    threads: int,
+    seed: int,
+) -> Prior:
+    """The prior stage. Poses that came with the input come first: kept or refined they stand for everything else, as
+    `config.poses` = prior they choose pairs in place of `auto`. Raises UsageError for a prior that is not known."""
+    if photos.given is not None and config.poses != "prior":
+        return given_prior(photos)
+    run = {"scratch": scratch, "reporter": reporter, "threads": threads, "seed": seed}
+    kind, _, file = wanted.partition("=")
+    if kind not in ("auto", "sequence", "gps", "poses") or (kind == "poses") != bool(file):
+        raise UsageError(f"--prior {wanted}: not known", hint="use auto, sequence, gps or poses=FILE")
+    if kind == "auto" and photos.given is None:
+        return coarse_poses(config, photos, **run)
+    if kind == "sequence":
+        return sequence_prior(own_prior(config, photos, **run))
+    if kind == "gps":
+        return gps_prior(own_prior(config, photos, **run), photos)
+    if kind == "poses":
+        names, rotations, centers = read_poses(Path(file), photos)
+        return poses_prior(own_prior(config, photos, **run), names, rotations, centers, note=f"poses of {file}")
+    given = photos.given
+    own = own_prior(config, photos, **run)
+    return poses_prior(own, given.names, given.rotations, given.centers, note="poses that came with the input")
 
 
 def own_prior(

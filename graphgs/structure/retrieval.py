@@ -16,16 +16,22 @@ def similar_photos(
     neighbors: int,
     seed: int,
 ) -> np.ndarray:
-    """[N, neighbors] int, the most similar other photos of each, best first; -1 where there are no more."""
+    """[N, neighbors] int, the most similar other photos of each, best first; -1 where there are no more.
+
+    A photo without features is like no other."""
     n = len(offsets) - 1
     result = np.full((n, neighbors), -1, dtype=np.int64)
     if len(descriptors) == 0:
         return result
+    empty = np.diff(offsets) == 0
     signatures = _signatures(descriptors, offsets, words=words, seed=seed)
     for first in range(0, n, 512):
         similarity = signatures[first : first + 512] @ signatures.T
         similarity[np.arange(len(similarity)), np.arange(first, first + len(similarity))] = -np.inf
+        similarity[empty[first : first + len(similarity)]] = -np.inf
+        similarity[:, empty] = -np.inf
         ranked = np.argsort(-similarity, axis=1, kind="stable")[:, : min(neighbors, n - 1)]
+        ranked[np.isneginf(np.take_along_axis(similarity, ranked, axis=1))] = -1
         result[first : first + len(ranked), : ranked.shape[1]] = ranked
     return result
 

@@ -18,6 +18,7 @@ from graphgs.structure.config import StructureConfig
 _BORDER_SAMPLES = 64  # points along each side of the image
 _WIDEST_FISHEYE = np.tan(np.radians(60.0))  # half-widths of a fisheye's pinhole view end here: beyond, corners smear
 _NO_DISTORTION = 1e-12
+_SANE_ZOOM = 3.0  # more than this factor between a border's ray and that of an undistorted lens is not believed
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ def undistortion(camera: Camera) -> Undistortion:
     """The pinhole camera of the same size that shows as much as it can without blank pixels, and the maps to it.
 
     A barrel's corners are cut off and a pincushion's edges filled by choosing the focal lengths, as COLMAP does with
-    blank_pixels = 0. Where a photo's border folds over (strong distortion) blank pixels may stay: they are masked."""
+    blank_pixels = 0. Where the lens model folds over within the photo, what lies beyond the fold is masked."""
     if np.abs(camera.distortion).max(initial=0.0) < _NO_DISTORTION and not camera.is_fisheye:
         return Undistortion(Camera.pinhole(camera.width, camera.height, *camera.focal_and_center), None, None, None)
     pinhole = _inscribed(camera)
@@ -84,6 +85,7 @@ def undistortion(camera: Camera) -> Undistortion:
     map_x, map_y = make_maps(shifted, camera.distortion, np.eye(3), target, size, cv2.CV_32FC1)
     # Half a pixel beyond the outermost centres is still inside the photo; remap repeats the edge there.
     inside = (map_x >= -0.5) & (map_x <= camera.width - 0.5) & (map_y >= -0.5) & (map_y <= camera.height - 0.5)
+    inside &= _radii(pinhole) < _fold(camera)
     return Undistortion(pinhole, map_x, map_y, None if inside.all() else inside.astype(np.uint8) * 255)
 
 
@@ -103,12 +105,39 @@ def _inscribed(camera: Camera) -> Camera:
         "b": rays["b"][:, 1].min(),
     }
     limit = _WIDEST_FISHEYE if camera.is_fisheye else np.inf
-    half = {side: min(value, limit) if np.isfinite(value) and value > 0 else limit for side, value in half.items()}
+    nominal = {"l": cx / fx, "r": (width - cx) / fx, "t": cy / fy, "b": (height - cy) / fy}
+    # Where the border has no ray, for the model folds before it, the solver's answer is anything at all.
+    half = {
+        side: min(value, limit) if nominal[side] / _SANE_ZOOM < value < nominal[side] * _SANE_ZOOM else nominal[side]
+        for side, value in half.items()
+    }
     # One scale for both axes keeps pixels square, so the larger of the two wins: nothing outside the photo is shown.
     scale_x = max(cx / (fx * half["l"]), (width - cx) / (fx * half["r"]))
     scale_y = max(cy / (fy * half["t"]), (height - cy) / (fy * half["b"]))
     scale = max(scale_x, scale_y)
     return Camera.pinhole(width, height, fx * scale, fy * scale, cx, cy)
+
+
+def _radii(camera: Camera) -> np.ndarray:
+    """[H, W] distance of a pinhole camera's pixel rays from its axis, at unit depth."""
+    fx, fy, cx, cy = camera.focal_and_center
+    x, y = (np.arange(camera.width) + 0.5 - cx) / fx, (np.arange(camera.height) + 0.5 - cy) / fy
+    return np.hypot(x[None, :], y[:, None])
+
+
+def _fold(camera: Camera) -> float:
+    """The radius at unit depth where the lens model turns back towards the middle; beyond, it shows things twice."""
+    r = np.linspace(0.0, 10.0, 10_001)
+    if camera.is_fisheye:
+        theta = np.arctan(r)
+        k1, k2, k3, k4 = camera.distortion
+        bent = theta * (1 + k1 * theta**2 + k2 * theta**4 + k3 * theta**6 + k4 * theta**8)
+    else:
+        k1, k2, _, _, k3, k4, k5, k6 = np.pad(camera.distortion, (0, 8 - len(camera.distortion)))
+        r2 = r * r
+        bent = r * (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+    turns = np.flatnonzero(np.diff(bent) <= 0)
+    return float(r[turns[0]]) if len(turns) else np.inf
 
 
 def _rays(camera: Camera, points: np.ndarray) -> np.ndarray:
