@@ -35,6 +35,10 @@ class ColmapWorker:
                 start_new_session=True,  # Ctrl-C reaches this process alone, which then ends the worker
             )
 
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
     def __enter__(self) -> "ColmapWorker":
         return self
 
