@@ -174,7 +174,7 @@ def parse_value(value: Any, kind: Any, *, where: str) -> Any:
     elif not isinstance(value, bool):
         try:
             parsed = kind(value)
-            if kind is str or (math.isfinite(parsed) and float(value) == parsed):
+            if kind is str or (math.isfinite(parsed) and (isinstance(value, str) or parsed == value)):
                 return parsed
         except (TypeError, ValueError, OverflowError):
             pass  # said below, as for any other value that does not fit
