@@ -64,7 +64,7 @@ def test_too_few_photos(tmp_path, said, count):
 
 
 @pytest.mark.parametrize(
-    "write, name, reason",
+    ("write", "name", "reason"),
     [
         (lambda path: path.write_text("hello\n"), "text.jpg", "not an image"),
         (half_jpeg, "half.jpg", "cut short"),
@@ -76,9 +76,12 @@ def test_an_unusable_file_is_named(tmp_path, said, write, name, reason):
     (tmp_path / "in").mkdir()
     write(tmp_path / "in" / name)
     code, text = said("run", tmp_path / "in", tmp_path / "out")
-    assert code == 3 and name in text and reason in text
+    assert code == 3
+    assert name in text
+    assert reason in text
     code, text = said("check", tmp_path / "in")  # looks at headers only
-    assert code == 3 and "at least 3 are needed" in text
+    assert code == 3
+    assert "at least 3 are needed" in text
 
 
 def test_photos_of_different_scenes_beside_broken_files(tmp_path, said):
@@ -88,7 +91,8 @@ def test_photos_of_different_scenes_beside_broken_files(tmp_path, said):
     (tmp_path / "in" / "text.jpg").write_text("hello\n")
     code, text = said("run", tmp_path / "in", tmp_path / "out", "--threads", 1)
     assert code == 3
-    assert "half.jpg: skipped" in text and "text.jpg: skipped" in text
+    assert "half.jpg: skipped" in text
+    assert "text.jpg: skipped" in text
     assert "no two of the 4 photos show the same scene" in text
 
 
@@ -96,14 +100,17 @@ def test_identical_photos(tmp_path, said):
     for i in range(4):
         noise(tmp_path / "in" / f"{i}.png", 0)
     code, text = said("run", tmp_path / "in", tmp_path / "out", "--threads", 1)
-    assert code == 3 and "different places" in text
+    assert code == 3
+    assert "different places" in text
 
 
 @pytest.mark.parametrize("command", ["run", "pose", "check"])
 def test_a_missing_folder(tmp_path, said, command):
     outputs = [] if command == "check" else [tmp_path / "out"]
     code, text = said(command, tmp_path / "nowhere", *outputs)
-    assert code == 2 and "nowhere" in text and "does not exist" in text
+    assert code == 2
+    assert "nowhere" in text
+    assert "does not exist" in text
     assert not (tmp_path / "out").exists()
 
 
@@ -112,16 +119,20 @@ def test_outputs_that_cannot_be_written(tmp_path, said):
     (tmp_path / "file").write_text("mine")
     for place in (tmp_path / "file", tmp_path / "file" / "below"):
         code, text = said("run", tmp_path / "in", place)
-        assert code == 2 and str(place) in text and "cannot write" in text
+        assert code == 2
+        assert str(place) in text
+        assert "cannot write" in text
         code, text = said("synth", "street", place)
-        assert code == 2 and str(place) in text
+        assert code == 2
+        assert str(place) in text
     assert (tmp_path / "file").read_text() == "mine"
     code, text = said("run", tmp_path / "in", tmp_path / "in")
-    assert code == 2 and "the same" in text
+    assert code == 2
+    assert "the same" in text
 
 
 @pytest.mark.parametrize(
-    "arguments, words",
+    ("arguments", "words"),
     [
         (["--frobnicate"], "--frobnicate"),
         (["--preset", "huge"], "preview"),
@@ -146,19 +157,22 @@ def test_outputs_that_cannot_be_written(tmp_path, said):
 def test_bad_options(tmp_path, said, arguments, words):
     write_photos(tmp_path / "in", 3)
     code, text = said("run", tmp_path / "in", tmp_path / "out", *arguments)
-    assert code == 2 and words in text
+    assert code == 2
+    assert words in text
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(
-    "text, words",
+    ("text", "words"),
     [("steps = [", "not a TOML file"), ("steps = 3", "not a table"), ("[training]\nnope = 3", "no setting 'nope'")],
 )
 def test_a_bad_settings_file(tmp_path, said, text, words):
     write_photos(tmp_path / "in", 3)
     (tmp_path / "my.toml").write_text(text)
     code, answer = said("run", tmp_path / "in", tmp_path / "out", "--config", tmp_path / "my.toml")
-    assert code == 2 and words in answer and "my.toml" in answer
+    assert code == 2
+    assert words in answer
+    assert "my.toml" in answer
 
 
 @pytest.mark.parametrize("command", ["train", "eval", "render"])
@@ -167,9 +181,12 @@ def test_an_empty_scene(tmp_path, said, command):
     outputs = [tmp_path / "pictures"] if command == "render" else []
     for scene in (tmp_path / "scene", tmp_path / "nowhere"):
         code, text = said(command, scene, *outputs)
-        assert code == 2 and str(scene) in text and "graphgs" in text
+        assert code == 2
+        assert str(scene) in text
+        assert "graphgs" in text
 
 
 def test_names_cannot_write_to_the_terminal(tmp_path, said):
     code, text = said("run", tmp_path / "a\x1b[2Jb", tmp_path / "out")
-    assert code == 2 and "\x1b" not in text
+    assert code == 2
+    assert "\x1b" not in text

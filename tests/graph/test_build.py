@@ -53,5 +53,6 @@ def test_edges_without_a_shared_point_are_dropped_with_their_facts(model):
 
 def test_no_edges_at_all(model):
     graph = build_camera_graph(model, np.zeros(5, bool), np.zeros((0, 2)), np.zeros(0, int))
-    assert graph.edges.shape == (0, 2) and graph.kinds is None
+    assert graph.edges.shape == (0, 2)
+    assert graph.kinds is None
     assert (graph.targets() == -1).all()

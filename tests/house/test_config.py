@@ -25,7 +25,7 @@ def test_presets_change_what_they_say_and_nothing_else(name):
 
 
 @pytest.mark.parametrize(
-    "item, value",
+    ("item", "value"),
     [
         ("training.steps=5000", 5000),
         ("training.steps = 1e3", None),

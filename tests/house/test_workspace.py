@@ -49,7 +49,9 @@ def run(workspace: Workspace, stage: Stage, *, settings=0, inputs=(), text="made
 def test_an_unchanged_stage_is_reused(workspace):
     first, worked = run(workspace, FIRST, text="one")
     again, worked_again = run(workspace, FIRST, text="two")
-    assert worked and not worked_again and again.reused
+    assert worked
+    assert not worked_again
+    assert again.reused
     assert again.artefact == first.artefact == Note("one")
     assert (again.key, again.seconds) == (first.key, first.seconds)
 
@@ -59,7 +61,8 @@ def test_a_change_reruns_only_what_follows(workspace):
     second, _ = run(workspace, SECOND, inputs=[first.key])
     assert not run(workspace, FIRST)[1]
     changed, worked = run(workspace, SECOND, inputs=[first.key], settings=1)
-    assert worked and changed.key != second.key
+    assert worked
+    assert changed.key != second.key
     other, _ = run(workspace, FIRST, settings=1)
     assert other.key != first.key
     assert run(workspace, SECOND, inputs=[other.key], settings=1)[1]
@@ -130,9 +133,14 @@ def test_one_run_at_a_time(tmp_path):
 def test_a_file_is_the_old_one_or_the_whole_new_one(tmp_path):
     path = tmp_path / "file.txt"
     write_text(path, "old")
-    with pytest.raises(RuntimeError), atomic(path) as partial:
-        partial.write_text("ne")
-        raise RuntimeError
+
+    def fail() -> None:
+        with atomic(path) as partial:
+            partial.write_text("ne")
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        fail()
     assert path.read_text() == "old"
     write_text(path, "new")
     assert path.read_text() == "new"

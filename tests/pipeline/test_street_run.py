@@ -69,7 +69,8 @@ def test_every_output_is_there(scene):
         "pairs_exhaustive", "seconds", "peak_rss_mb", "device", "versions", "seed",
     } <= metrics.keys()  # fmt: skip
     assert (metrics["images"], metrics["registered"], metrics["steps_executed"]) == (12, 12, STEPS)
-    assert metrics["num_splats"] == len(splats) and metrics["psnr"] > 10
+    assert metrics["num_splats"] == len(splats)
+    assert metrics["psnr"] > 10
     assert {stage.name for stage in STAGES} <= metrics["seconds"].keys()
     names = [view["name"] for view in metrics["views"]]
     assert names == ["000001.jpg", "000009.jpg"]  # every 8th
@@ -77,13 +78,17 @@ def test_every_output_is_there(scene):
         for kind in ("truth", "render", "error"):
             assert (scene / "eval" / f"{Path(name).stem}.{kind}.png").stat().st_size > 0
     graph = nx.node_link_graph(json.loads((scene / "graph.json").read_text()), edges="edges")
-    assert len(graph) == 12 and nx.is_connected(graph)
+    assert len(graph) == 12
+    assert nx.is_connected(graph)
     model = read_model(scene / "colmap" / "sparse" / "0")
-    assert len(model.names) == 12 and {camera.model for camera in model.cameras} == {"PINHOLE"}
+    assert len(model.names) == 12
+    assert {camera.model for camera in model.cameras} == {"PINHOLE"}
     assert all((scene / "colmap" / "images" / name).is_file() for name in model.names)
-    assert (scene / "colmap" / "original").is_dir() and list((scene / "checkpoints").iterdir())
+    assert (scene / "colmap" / "original").is_dir()
+    assert list((scene / "checkpoints").iterdir())
     report = (scene / "report.html").read_text()
-    assert report.rstrip().endswith("</html>") and "000001.jpg" in report
+    assert report.rstrip().endswith("</html>")
+    assert "000001.jpg" in report
     assert "steps = 60" in (scene / "run.toml").read_text()
     assert not list(scene.rglob("*.partial"))
 
@@ -111,7 +116,7 @@ def test_eval_measures_the_same_again(scene, capsys):
     assert (scene / "cache" / "10_evaluation" / "evaluation.json").read_text() == kept
 
 
-@pytest.mark.parametrize("views, count", [("test", 2), ("train", 10), ("all", 12)])
+@pytest.mark.parametrize(("views", "count"), [("test", 2), ("train", 10), ("all", 12)])
 def test_render_writes_pictures(scene, tmp_path, views, count):
     assert cli._guarded(["render", str(scene), str(tmp_path / "out"), "--views", views, "--device", "cpu"]) == 0
     assert len(list((tmp_path / "out").glob("*.png"))) == count
@@ -122,14 +127,18 @@ def test_train_goes_on_from_the_poses_with_the_scenes_settings(scene):
     made, _ = made_and_reused(scene)
     assert made == {"training", "evaluation"}
     settings = (scene / "run.toml").read_text()
-    assert "steps = 30" in settings and "sh_degree = 1" in settings and "max_side = 640" in settings
+    assert "steps = 30" in settings
+    assert "sh_degree = 1" in settings
+    assert "max_side = 640" in settings
 
 
 def test_python_gives_what_the_command_gives(photos, scene):
     """The same options, so every stage but training (other steps) is reused."""
     result = graphgs.run(photos, scene, preset="preview", device="cpu", threads=2, steps=20)
-    assert result.status == "complete" and result.metrics["steps_executed"] == 20
-    assert result.splat_path.is_file() and result.report_path.is_file()
+    assert result.status == "complete"
+    assert result.metrics["steps_executed"] == 20
+    assert result.splat_path.is_file()
+    assert result.report_path.is_file()
     assert made_and_reused(scene)[1] == EARLY
 
 
@@ -149,7 +158,8 @@ def test_a_killed_run_continues(photos, scene, tmp_path):
         process.send_signal(signal.SIGKILL)
         process.wait()
     saved = checkpoint_step(output)
-    assert 0 < saved < steps and not (output / "splat.ply").exists()
+    assert 0 < saved < steps
+    assert not (output / "splat.ply").exists()
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL, timeout=300)
     assert made_and_reused(output) == ({"training", "evaluation"}, EARLY)
     assert [event["step"] for event in events(output) if event["event"] == "resumed"] == [saved]
