@@ -48,7 +48,7 @@ class TrainConfig:
     # Adaptive control of the number of Gaussians
     densify_from_step: int = 500
     """First step that may clone and split, at most `densify_from_fraction` of the run."""
-    densify_from_fraction: float = 0.1
+    densify_from_fraction: float = 0.15
     """Ours, for short runs."""
     densify_until_fraction: float = 0.5
     """Share of the run after which Gaussians are neither added nor reset (15k of 30k)."""

@@ -33,6 +33,13 @@ class Schedule:
         done = step + 1
         return self.densify_from <= done < self.densify_until and done % self._config.densify_interval == 0
 
+    def densify_progress(self, step: int) -> float:
+        """Share of the densification rounds that are over once the one after this step is; 1 after the last."""
+        interval = self._config.densify_interval
+        first = -(-self.densify_from // interval)  # the rounds' multiples of the interval
+        last = (self.densify_until - 1) // interval
+        return min(1.0, max(0.0, ((step + 1) // interval - first + 1) / max(1, last - first + 1)))
+
     def resets_opacities_after(self, step: int) -> bool:
         """Resets happen while Gaussians are added, and need an interval to recover from: short runs have none."""
         done, interval = step + 1, self._config.opacity_reset_interval

@@ -49,6 +49,7 @@ class AdaptiveControl:
         device: str,
     ):
         self._config, self._schedule, self._extent, self._seed = config, schedule, extent, seed
+        self._start = count
         self._pull = torch.zeros(count, device=device)  # sum of 2D gradient norms, NDC
         self._seen = torch.zeros(count, device=device)  # views that saw the Gaussian
 
@@ -73,6 +74,12 @@ class AdaptiveControl:
         if self._schedule.resets_opacities_after(step):
             parameters.cap_opacities(_logit(2.0 * self._config.prune_opacity))
 
+    def limit_after(self, step: int) -> int:
+        """Gaussians allowed after the round that follows `step`: a parabola from the initial number to `max_splats` at
+        the end of the window (Taming 3DGS, Mallick et al. 2024), so that no early round uses up the budget."""
+        left = 1.0 - self._schedule.densify_progress(step)
+        return self._start + int((self._config.max_splats - self._start) * (1.0 - left**2))
+
     def state(self) -> dict[str, Tensor]:
         return {"pull": self._pull, "seen": self._seen}
 
@@ -90,7 +97,7 @@ class AdaptiveControl:
             pruned.zero_()  # never leave an empty scene
         pull = self._pull / self._seen.clamp(min=1.0)
         grows = (pull > config.densify_gradient) & ~pruned
-        room = config.max_splats - int((~pruned).sum())
+        room = self.limit_after(step) - int((~pruned).sum())
         grows = _strongest(grows, pull, room)
         large = sizes > config.densify_scale
         cloned, split = grows & ~large, grows & large

@@ -1,5 +1,6 @@
 """Adaptive control: who is cloned, split and removed, and the limit that holds."""
 
+import itertools
 from types import SimpleNamespace
 
 import pytest
@@ -11,7 +12,7 @@ from graphgs.training.parameters import Parameters
 from graphgs.training.schedule import Schedule
 from graphgs.training.strategy import AdaptiveControl
 
-ROUND = 999  # a step after which a round takes place
+ROUND = 14_899  # the last round follows this step: the whole budget is open
 EXTENT = 2.0
 SMALL, LARGE = 0.001, 0.05  # standard deviations in extents; the border is 0.01
 
@@ -71,8 +72,8 @@ def test_pull_is_the_mean_over_views_that_saw_it():
 def test_statistics_start_afresh_after_a_round():
     strategy, parameters = _setting([SMALL], [0.5])
     _see(strategy, [1e-3])
+    strategy.after_step(ROUND - 100, parameters)
     strategy.after_step(ROUND, parameters)
-    strategy.after_step(ROUND + 100, parameters)
     assert len(parameters) == 2
     assert strategy.state()["pull"].shape == (2,)
 
@@ -90,6 +91,22 @@ def test_the_limit_holds_and_the_strongest_go_first(limit):
     assert grown == sorted(strongest)
 
 
+def test_the_budget_opens_round_by_round():
+    strategy, _ = _setting([SMALL] * 4, [0.5] * 4, max_splats=1004)
+    limits = [strategy.limit_after(step) for step in range(499, 14_900, 100)]
+    growth = [later - earlier for earlier, later in itertools.pairwise([4, *limits])]
+    assert limits[-1] == 1004
+    assert 12 <= growth[0] <= 15  # twice an even share: 1000 / 145
+    assert all(later <= earlier + 1 for earlier, later in itertools.pairwise(growth))
+
+
+def test_no_early_round_takes_the_whole_budget():
+    strategy, parameters = _setting([SMALL] * 10, [0.5] * 10, max_splats=20)
+    _see(strategy, [1e-3] * 10)
+    strategy.after_step(2999, parameters)
+    assert len(parameters) == strategy.limit_after(2999) == 13
+
+
 def test_no_scene_is_emptied():
     strategy, parameters = _setting([SMALL, SMALL], [0.001, 0.001])
     _see(strategy, [0.0, 0.0])
@@ -98,7 +115,7 @@ def test_no_scene_is_emptied():
 
 
 def test_oversized_ones_go_only_after_the_first_reset():
-    for step, left in ((ROUND, 2), (3999, 1)):
+    for step, left in ((999, 2), (3999, 1)):
         strategy, parameters = _setting([SMALL, 0.3], [0.5, 0.5])
         _see(strategy, [0.0, 0.0])
         strategy.after_step(step, parameters)
