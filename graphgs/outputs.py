@@ -46,7 +46,7 @@ class Made:
 
 
 def write_outputs(run: Run, posed: Posed, made: Made | None, *, command: str, status: str) -> dict[str, Any]:
-    """Write every output; returns what metrics.json holds. `status`: complete, or partial (no training)."""
+    """Write every output; returns what metrics.json holds. `status`: complete, posed (stopped after the poses), or partial."""
     output, started = run.workspace.output, time.perf_counter()
     run.reporter.info(f"writing {output}")
     versions = installed_versions()
@@ -99,7 +99,7 @@ def report_data(
     partial = partial_error(posed) if status == "partial" else None
     return ReportData(
         title=run.workspace.output.resolve().name,
-        status=status,
+        status="complete" if partial is None else "partial",
         command=command,
         cause="" if partial is None else partial.message,
         next_step="" if partial is None else partial.hint,

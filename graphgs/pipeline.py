@@ -23,11 +23,12 @@ from graphgs.rendering.splats import Splats
 from graphgs.scene.views import Views
 from graphgs.sources import Photos, fingerprint, load_photos
 from graphgs.structure.candidates import candidate_pairs
-from graphgs.structure.coarse import coarse_poses
+from graphgs.structure.given import keep_given, map_given, needs_matching
 from graphgs.structure.mapping import map_fine
 from graphgs.structure.matching import Matches, match_pairs
 from graphgs.structure.pairing import Pairs
 from graphgs.structure.prior import Prior
+from graphgs.structure.priors import make_prior
 from graphgs.structure.result import Structure
 from graphgs.structure.undistort import undistort
 from graphgs.training import train
@@ -175,11 +176,18 @@ def find_poses(run: Run) -> Posed:
     """Photos in, posed views and their graph out. Raises DataError where the photos cannot work."""
     config, reporter, threads = run.config, run.reporter, run.threads
     photos = _photos(run)
+    given = photos.given is not None and config.structure.poses != "prior"
+    if given and not needs_matching(config.structure, photos):
+        structure = run.stage(
+            MAPPING, [PHOTOS], lambda folder, scratch: keep_given(config.structure, photos), Structure.load
+        )
+        return _viewed(run, photos, structure, None, None, None)
     prior, pairs, matches = _matched(run, photos)
+    map_photos = map_given if given else map_fine
     structure = run.stage(
         MAPPING,
         [PHOTOS, COARSE, MATCHES],
-        lambda folder, scratch: map_fine(
+        lambda folder, scratch: map_photos(
             config.structure, photos, matches, prior,
             scratch=scratch, reporter=reporter, threads=threads, seed=config.run.seed,
         ),
@@ -275,10 +283,15 @@ def decode_side(config: Config) -> int:
 def _matched(run: Run, photos: Photos) -> tuple[Prior, Pairs, Matches]:
     config, reporter, threads, seed = run.config, run.reporter, run.threads, run.config.run.seed
 
-    def produce_prior(folder: Path, scratch: Path) -> Prior:
-        return coarse_poses(config.structure, photos, scratch=scratch, reporter=reporter, threads=threads, seed=seed)
-
-    prior = run.stage(COARSE, [PHOTOS], produce_prior, Prior.load)
+    prior = run.stage(
+        COARSE,
+        [PHOTOS],
+        lambda folder, scratch: make_prior(
+            config.structure, photos, wanted=config.run.prior,
+            scratch=scratch, reporter=reporter, threads=threads, seed=seed,
+        ),
+        Prior.load,
+    )  # fmt: skip
     pairs = run.stage(
         PAIRS,
         [COARSE],
