@@ -5,16 +5,18 @@ reading and shrinking images than on SIFT. Each photo leaves one file: a killed 
 """
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import ExitStack
 from itertools import accumulate
 from pathlib import Path
-from threading import Lock
+from queue import SimpleQueue
 
 import numpy as np
 
 from graphgs.sources.photos import Photos
 from graphgs.structure.colmap import ColmapWorker
+
+_POLL_S = 0.2  # between two reports
 
 
 def extract_features(
@@ -30,15 +32,8 @@ def extract_features(
     """Extract what is not there yet. Returns the number of features [N]."""
     total = len(photos.photos)
     pending = [photo for photo in photos.photos if not (folder / f"{photo.pixels}.npz").exists()]
-    done, lock = total - len(pending), Lock()
-    progress(done, total)
-
-    def one_more(*_) -> None:
-        nonlocal done
-        with lock:
-            done += 1
-            progress(done, total)
-
+    progress(total - len(pending), total)
+    arrived: SimpleQueue[int] = SimpleQueue()  # one entry per photo; progress is told by this thread alone
     count = min(threads, len(pending))
     # The workers end first when something is raised here, which in turn ends the threads that wait for them.
     with ThreadPoolExecutor(max(1, count)) as pool, ExitStack() as stack:
@@ -55,9 +50,16 @@ def extract_features(
                 "max_features": max_features,
                 "first_octave": first_octave,
             }
-            running.append(pool.submit(worker.run, "extract", progress=one_more, **job))
-        for future in running:
-            future.result()
+            running.append(pool.submit(worker.run, "extract", progress=lambda done, _: arrived.put(done), **job))
+        reported = 0
+        while not all(future.done() for future in running):
+            wait(running, timeout=_POLL_S, return_when=FIRST_EXCEPTION)
+            if arrived.qsize() > reported:
+                reported = arrived.qsize()
+                progress(total - len(pending) + reported, total)
+            for future in running:
+                if future.done():
+                    future.result()
     return np.array([len(_load(folder, photo.pixels, "keypoints")) for photo in photos.photos], dtype=np.int64)
 
 
