@@ -46,7 +46,8 @@ class Made:
 
 
 def write_outputs(run: Run, posed: Posed, made: Made | None, *, command: str, status: str) -> dict[str, Any]:
-    """Write every output; returns what metrics.json holds. `status`: complete, posed (stopped after the poses), or partial."""
+    """Write every output; returns what metrics.json holds. `status`: complete, partial (poses not accepted), or posed
+    (stopped after the poses on request)."""
     output, started = run.workspace.output, time.perf_counter()
     run.reporter.info(f"writing {output}")
     versions = installed_versions()
