@@ -34,6 +34,8 @@ class TrainConfig:
     """Constant harmonic."""
     sh_rest_rate: float = 1.25e-4
     """Higher harmonics: a twentieth of the constant one."""
+    short_run_exponent: float = 0.25
+    """Ours: runs shorter than 3DGS's 30k steps take all rates but the opacities' times (30k / steps)^this."""
 
     # Colour
     sh_degree: int = 3
@@ -53,7 +55,9 @@ class TrainConfig:
     densify_until_fraction: float = 0.5
     """Share of the run after which Gaussians are neither added nor reset (15k of 30k)."""
     densify_interval: int = 100
-    """Steps between two rounds."""
+    """Steps between two rounds, at most `densify_interval_fraction` of the run."""
+    densify_interval_fraction: float = 0.025
+    """Ours: a 1000-step run had 3 rounds; with 14 it ends 2 dB higher on a street that starts from few points."""
     densify_gradient: float = 2e-4
     """Mean 2D gradient, in half image sizes (NDC), above which a Gaussian is cloned or split."""
     densify_scale: float = 0.01

@@ -2,6 +2,8 @@
 
 from graphgs.training.config import TrainConfig
 
+REFERENCE_STEPS = 30_000  # the length that 3DGS's rates are tuned for
+
 
 class Schedule:
     """Rates, degrees and windows of one run. Holds no state, so a resumed run sees the same schedule."""
@@ -11,14 +13,27 @@ class Schedule:
         steps = config.steps
         self._sh_interval = max(1, min(config.sh_degree_interval, round(config.sh_degree_fraction * steps)))
         self.densify_from = min(config.densify_from_step, round(config.densify_from_fraction * steps))
+        self.densify_interval = max(1, min(config.densify_interval, round(config.densify_interval_fraction * steps)))
         self.densify_until = round(config.densify_until_fraction * steps)
         self.consistency_from = round(config.consistency_from_fraction * steps)
 
-    def means_rate(self, step: int) -> float:
-        """Learning rate of the centres in scene extents: exponential from the first to the last executed step."""
+    def rates(self, step: int, *, extent: float) -> dict[str, float]:
+        """Learning rate of every group of parameters; `extent` is the scene's, in world units.
+
+        Centres move exponentially less from the first to the last executed step. A short run takes longer strides
+        (opacities do not: they settle within a hundred steps at any length)."""
         config = self._config
+        stride = max(1.0, REFERENCE_STEPS / config.steps) ** config.short_run_exponent
         progress = step / max(1, config.steps - 1)
-        return config.means_rate ** (1.0 - progress) * config.means_rate_final**progress
+        means_rate = config.means_rate ** (1.0 - progress) * config.means_rate_final**progress
+        return {
+            "means": stride * extent * means_rate,
+            "quats": stride * config.quats_rate,
+            "log_scales": stride * config.log_scales_rate,
+            "logit_opacities": config.logit_opacities_rate,
+            "sh_dc": stride * config.sh_dc_rate,
+            "sh_rest": stride * config.sh_rest_rate,
+        }
 
     def sh_degree(self, step: int) -> int:
         """Active degree of the spherical harmonics."""
@@ -31,11 +46,11 @@ class Schedule:
     def densifies_after(self, step: int) -> bool:
         """Whether a round follows this step: a full interval has been seen and the window is open."""
         done = step + 1
-        return self.densify_from <= done < self.densify_until and done % self._config.densify_interval == 0
+        return self.densify_from <= done < self.densify_until and done % self.densify_interval == 0
 
     def densify_progress(self, step: int) -> float:
         """Share of the densification rounds that are over once the one after this step is; 1 after the last."""
-        interval = self._config.densify_interval
+        interval = self.densify_interval
         first = -(-self.densify_from // interval)  # the rounds' multiples of the interval
         last = (self.densify_until - 1) // interval
         return min(1.0, max(0.0, ((step + 1) // interval - first + 1) / max(1, last - first + 1)))
