@@ -1,90 +1,23 @@
 """A quick reconstruction at low resolution: where every photo was taken, roughly, in seconds.
 
-A small true reconstruction serves better as a prior than pairwise learned poses: it is already global (SIFT, sequence
-and look-alike pairs, incremental mapping with loose thresholds). When it places too few photos it tries again with
-another seed, then with more pixels and features.
+A small true reconstruction serves better as a prior than pairwise learned poses: it is already global. When it places
+too few photos it is tried again with another seed and intrinsics held, then with more pixels and features.
 """
 
-import dataclasses
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from graphgs.errors import DataError
 from graphgs.progress import Reporter
-from graphgs.scene.reconstruction import Reconstruction
 from graphgs.sources.photos import Photos
-from graphgs.structure.cameras import (
-    SharedCameras,
-    refined_by,
-    rescaled,
-    shared_cameras,
-    with_cameras,
-    with_second_term,
-)
+from graphgs.structure.cameras import refined_by, with_cameras, with_second_term
+from graphgs.structure.coarse_attempt import Attempt, Found, run_attempt
 from graphgs.structure.colmap import ColmapWorker
 from graphgs.structure.config import StructureConfig
-from graphgs.structure.database import by_photo_names, create_database
-from graphgs.structure.features import extract_features, load_descriptors
-from graphgs.structure.focal import FocalVote, vote_focal
 from graphgs.structure.prior import Prior, poses_by_name
-from graphgs.structure.retrieval import similar_photos
 
-# Looser than COLMAP's defaults: features are few, and a wrong photo here costs pairs only.
-_VERIFICATION = {"min_num_inliers": 12}
-_MAPPING = {
-    "min_num_matches": 12,
-    "min_model_size": 3,
-    "max_num_models": 10,
-    "ba_global_frames_ratio": 1.3,
-    "ba_global_points_ratio": 1.3,
-    "ba_global_max_refinements": 2,
-    "ba_local_max_refinements": 1,
-    "mapper": {
-        "init_min_num_inliers": 50,
-        "init_min_tri_angle": 8.0,
-        "abs_pose_min_num_inliers": 15,
-        "abs_pose_min_inlier_ratio": 0.15,
-    },
-}
-_HELD = {
-    **_MAPPING,
-    "ba_refine_focal_length": False,
-    "ba_refine_extra_params": False,
-    "mapper": {
-        **_MAPPING["mapper"],
-        "abs_pose_refine_focal_length": False,
-        "abs_pose_refine_extra_params": False,
-    },
-}
-_RETRIEVAL_DEPTH = 20  # look-alikes kept per photo, for bridges later
 _ANOTHER_SEED = 1000  # offset
-_LARGEST_DRIFT = 1.6  # a focal length that mapping changed by more is a sign of a broken model
-
-
-@dataclass(frozen=True)
-class _Attempt:
-    max_side: int
-    features: int
-    seed: int
-    hold: bool  # keep the voted intrinsics, whatever the photos seem to say
-
-
-@dataclass(frozen=True)
-class _Found:
-    """What an attempt brought."""
-
-    reconstruction: Reconstruction | None
-    cameras: SharedCameras  # that mapping started from
-    hold_intrinsics: bool
-    similar: np.ndarray  # [N, k] look-alikes
-    edges: np.ndarray  # [E, 2] verified
-    note: str
-
-    @property
-    def placed(self) -> int:
-        return 0 if self.reconstruction is None else len(self.reconstruction.names)
 
 
 def coarse_poses(
@@ -98,14 +31,14 @@ def coarse_poses(
 ) -> Prior:
     """Our own coarse reconstruction of the photos. Raises DataError when not even three photos fit together."""
     attempts = (
-        _Attempt(config.coarse_max_side, config.coarse_features, seed, False),
-        _Attempt(config.coarse_max_side, config.coarse_features, seed + _ANOTHER_SEED, True),
-        _Attempt(config.coarse_retry_max_side, config.coarse_retry_features, seed, False),
+        Attempt(config.coarse_max_side, config.coarse_features, seed, False),
+        Attempt(config.coarse_max_side, config.coarse_features, seed + _ANOTHER_SEED, True),
+        Attempt(config.coarse_retry_max_side, config.coarse_retry_features, seed, False),
     )
-    best: _Found | None = None
+    best: Found | None = None
     with ColmapWorker(scratch) as worker:
         for attempt in attempts:
-            found = _reconstruct(config, photos, attempt, worker, scratch, reporter, threads)
+            found = run_attempt(config, photos, attempt, worker, scratch, reporter, threads)
             if best is None or found.placed > best.placed:
                 best = found
             if best.placed >= config.min_registered * len(photos.photos):
@@ -131,121 +64,6 @@ def coarse_poses(
         reconstruction=reconstruction,
         similar=best.similar,
     )
-
-
-def _reconstruct(
-    config: StructureConfig,
-    photos: Photos,
-    attempt: _Attempt,
-    worker: ColmapWorker,
-    scratch: Path,
-    reporter: Reporter,
-    threads: int,
-) -> _Found:
-    """One attempt; continues what a kill left."""
-    n = len(photos.photos)
-    work = scratch / f"{attempt.max_side}_{attempt.features}"
-    features, database = work / "features", work / "database.db"
-    extract_features(
-        photos,
-        features,
-        max_side=attempt.max_side,
-        max_features=attempt.features,
-        first_octave=0,
-        threads=threads,
-        progress=lambda done, total: reporter.progress(done, total, "coarse features"),
-    )
-    similar = similar_photos(
-        *load_descriptors(photos, features), words=config.retrieval_words, neighbors=_RETRIEVAL_DEPTH, seed=0
-    )
-    cameras = shared_cameras(photos)
-    create_database(worker, database, photos, cameras, features)
-    pairs = coarse_pairs(similar[:, : config.retrieval_neighbors], n, config.sequence_window)
-    worker.run(
-        "match",
-        progress=lambda done, total: reporter.progress(done, total, "coarse matches"),
-        database=database,
-        pairs=pairs.tolist(),
-        chunk_pairs=8 * config.chunk_pairs,
-        matching={},
-        verification={**_VERIFICATION, "ransac": {"random_seed": 0}},
-        threads=threads,
-        scratch=work,
-    )
-    worker.run("verified", database=database, out=work / "verified.npz")
-    with np.load(work / "verified.npz", allow_pickle=False) as arrays:
-        edges = arrays["edges"]
-    vote = _vote(worker, database, work, cameras)
-    hold = attempt.hold or vote.flat
-    cameras = rescaled(cameras, vote.scale)
-    worker.run("set_cameras", database=database, cameras=cameras.records())
-    reporter.event("focal", **dataclasses.asdict(vote))
-    model = work / f"model_{attempt.seed}"
-    if not model.exists():
-        worker.run(
-            "map_incrementally",
-            progress=lambda done, total: reporter.progress(done, total, "coarse mapping"),
-            database=database,
-            out=model,
-            start=None,
-            options=_HELD if hold else _MAPPING,
-            seed=attempt.seed,
-            threads=threads,
-        )
-    found = by_photo_names(Reconstruction.load(model), photos) if model.exists() else None
-    if found is not None and _drift(found, cameras, photos) > _LARGEST_DRIFT:
-        reporter.event("coarse_drift", factor=_drift(found, cameras, photos))
-        found = None
-    placed = 0 if found is None else len(found.names)
-    reporter.event("coarse_attempt", **dataclasses.asdict(attempt), pairs=len(pairs), edges=len(edges), placed=placed)
-    note = f"own reconstruction at {attempt.max_side} px places {placed} of {n} photos"
-    if vote.flat:
-        note += "; the photos do not determine the focal length, so it is held as given or typical"
-    return _Found(found, cameras, hold, similar, edges, note)
-
-
-def _vote(worker: ColmapWorker, database: Path, work: Path, cameras: SharedCameras) -> FocalVote:
-    """Among the photos that do not tell their focal length, if they have pairs enough; else among all."""
-    worker.run("fundamentals", database=database, out=work / "fundamentals.npz")
-    with np.load(work / "fundamentals.npz", allow_pickle=False) as arrays:
-        pairs, F, inliers = arrays["pairs"], arrays["F"], arrays["inliers"]
-    Ks = np.array([camera.K for camera in cameras.cameras])
-    camera = cameras.camera_ids[pairs]
-    guessed = ~np.array(cameras.known)[camera].any(1)
-    subsets = [guessed, np.ones(len(pairs), bool)] if guessed.any() else [np.ones(len(pairs), bool)]
-    for subset in subsets:
-        i, j = camera[subset].T
-        vote = vote_focal(F[subset], inliers[subset], Ks[i], Ks[j])
-        if vote.decided:
-            # Only what guessed cameras say may move the guesses.
-            return vote if subset is guessed else dataclasses.replace(vote, scale=1.0)
-    return vote
-
-
-def _drift(found: Reconstruction, start: SharedCameras, photos: Photos) -> float:
-    """The largest factor by which mapping changed a focal length."""
-    row = {name: k for k, name in enumerate(photos.names)}
-    before = np.array([start.cameras[start.camera_ids[row[name]]].params[0] for name in found.names])
-    after = np.array([found.camera_of(k).params[0] for k in range(len(found.names))])
-    return float(np.exp(np.abs(np.log(np.maximum(after, 1e-6) / before)).max()))
-
-
-def coarse_pairs(
-    similar: np.ndarray,  # [N, k] look-alikes, -1 = none
-    n: int,
-    window: int,
-) -> np.ndarray:
-    """[P, 2] i < j, sorted: `window` neighbours in file order, then every power of two, and the look-alikes."""
-    offsets = list(range(1, window + 1))
-    step = 1
-    while step < n:
-        offsets.append(step)
-        step *= 2
-    i = np.arange(n)
-    parts = [np.stack([i[: n - d], i[d:]], axis=1) for d in sorted(set(offsets)) if d < n]
-    rows, ranks = np.nonzero(similar >= 0)
-    parts.append(np.sort(np.stack([rows, similar[rows, ranks]], axis=1), axis=1))
-    return np.unique(np.concatenate(parts), axis=0)
 
 
 def _hopeless(photos: Photos, edges: np.ndarray) -> DataError:

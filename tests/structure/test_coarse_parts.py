@@ -12,7 +12,7 @@ from graphgs.scene.camera import Camera
 from graphgs.sources.photos import Photos
 from graphgs.structure.cameras import rescaled, shared_cameras, with_second_term
 from graphgs.structure.candidates import candidate_pairs
-from graphgs.structure.coarse import coarse_pairs
+from graphgs.structure.coarse_attempt import coarse_pairs
 from graphgs.structure.config import StructureConfig
 from graphgs.structure.focal import vote_focal
 from graphgs.structure.gps import enu_from_wgs84

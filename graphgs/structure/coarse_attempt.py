@@ -1,0 +1,219 @@
+"""One attempt at a coarse reconstruction: few features, bounded pairs, a vote on the focal length, loose mapping."""
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from graphgs.progress import Reporter
+from graphgs.scene.reconstruction import Reconstruction
+from graphgs.sources.photos import Photos
+from graphgs.structure.cameras import SharedCameras, rescaled, shared_cameras
+from graphgs.structure.colmap import ColmapWorker
+from graphgs.structure.config import StructureConfig
+from graphgs.structure.database import by_photo_names, create_database
+from graphgs.structure.features import extract_features, load_descriptors
+from graphgs.structure.focal import FocalVote, vote_focal
+from graphgs.structure.retrieval import similar_photos
+
+# Looser than COLMAP's defaults: features are few, and a wrong photo here costs pairs only.
+_VERIFICATION = {"min_num_inliers": 12}
+_MAPPING = {
+    "min_num_matches": 12,
+    "min_model_size": 3,
+    "max_num_models": 10,
+    "ba_global_frames_ratio": 1.3,
+    "ba_global_points_ratio": 1.3,
+    "ba_global_max_refinements": 2,
+    "ba_local_max_refinements": 1,
+    "mapper": {
+        "init_min_num_inliers": 50,
+        "init_min_tri_angle": 8.0,
+        "abs_pose_min_num_inliers": 15,
+        "abs_pose_min_inlier_ratio": 0.15,
+    },
+}
+_HELD = {
+    **_MAPPING,
+    "ba_refine_focal_length": False,
+    "ba_refine_extra_params": False,
+    "mapper": {
+        **_MAPPING["mapper"],
+        "abs_pose_refine_focal_length": False,
+        "abs_pose_refine_extra_params": False,
+    },
+}
+_RETRIEVAL_DEPTH = 20  # look-alikes kept per photo, for bridges later
+_LARGEST_DRIFT = 1.6  # a focal length that mapping changed by more is a sign of a broken model
+_OTHER_GUESSES = (0.72, 1.39)  # of the typical focal length, where the photos leave it open: 19 and 36 mm equivalent
+_ABOUT_AS_MANY = 0.98  # of the photos that the best mapping places
+
+
+@dataclass(frozen=True)
+class Attempt:
+    max_side: int
+    features: int
+    seed: int
+    hold: bool  # keep the voted intrinsics, whatever the photos seem to say
+
+
+@dataclass(frozen=True)
+class Found:
+    """What an attempt brought."""
+
+    reconstruction: Reconstruction | None
+    cameras: SharedCameras  # that mapping started from
+    hold_intrinsics: bool
+    similar: np.ndarray  # [N, k] look-alikes
+    edges: np.ndarray  # [E, 2] verified
+    note: str
+
+    @property
+    def placed(self) -> int:
+        return 0 if self.reconstruction is None else len(self.reconstruction.names)
+
+
+def run_attempt(
+    config: StructureConfig,
+    photos: Photos,
+    attempt: Attempt,
+    worker: ColmapWorker,
+    scratch: Path,
+    reporter: Reporter,
+    threads: int,
+) -> Found:
+    """Features, pairs, matches, focal length and mapping; continues what a kill left."""
+    n = len(photos.photos)
+    work = scratch / f"{attempt.max_side}_{attempt.features}"
+    features, database = work / "features", work / "database.db"
+    extract_features(
+        photos,
+        features,
+        max_side=attempt.max_side,
+        max_features=attempt.features,
+        first_octave=0,
+        threads=threads,
+        progress=lambda done, total: reporter.progress(done, total, "coarse features"),
+    )
+    similar = similar_photos(
+        *load_descriptors(photos, features), words=config.retrieval_words, neighbors=_RETRIEVAL_DEPTH, seed=0
+    )
+    cameras = shared_cameras(photos)
+    create_database(worker, database, photos, cameras, features)
+    pairs = coarse_pairs(similar[:, : config.retrieval_neighbors], n, config.sequence_window)
+    worker.run(
+        "match",
+        progress=lambda done, total: reporter.progress(done, total, "coarse matches"),
+        database=database,
+        pairs=pairs.tolist(),
+        chunk_pairs=8 * config.chunk_pairs,
+        matching={},
+        verification={**_VERIFICATION, "ransac": {"random_seed": 0}},
+        threads=threads,
+        scratch=work,
+    )
+    worker.run("verified", database=database, out=work / "verified.npz")
+    with np.load(work / "verified.npz", allow_pickle=False) as arrays:
+        edges = arrays["edges"]
+    vote = _vote(worker, database, work, cameras)
+    hold = attempt.hold or vote.flat
+    cameras = rescaled(cameras, vote.scale)
+    reporter.event("focal", **dataclasses.asdict(vote))
+    guesses = [cameras]
+    if vote.flat and not all(shared_cameras(photos).known):
+        guesses += [rescaled(shared_cameras(photos), scale) for scale in _OTHER_GUESSES]
+    found, cameras = _best_mapping(photos, guesses, attempt, hold, worker, work, reporter, threads)
+    placed = 0 if found is None else len(found.names)
+    reporter.event("coarse_attempt", **dataclasses.asdict(attempt), pairs=len(pairs), edges=len(edges), placed=placed)
+    note = f"own reconstruction at {attempt.max_side} px places {placed} of {n} photos"
+    if vote.flat:
+        note += "; the photos do not determine the focal length, so it is held as given or typical"
+    return Found(found, cameras, hold, similar, edges, note)
+
+
+def _best_mapping(
+    photos: Photos,
+    guesses: list[SharedCameras],  # intrinsics to start from
+    attempt: Attempt,
+    hold: bool,
+    worker: ColmapWorker,
+    work: Path,
+    reporter: Reporter,
+    threads: int,
+) -> tuple[Reconstruction | None, SharedCameras]:
+    """The mapping that places the most photos, and among those that place about as many the one with the least error:
+    far off the true focal length a turn of the road bends wrongly, and the error grows by a quarter."""
+    results = []
+    for k, cameras in enumerate(guesses):
+        model = work / f"model_{attempt.seed}_{k}"
+        if not model.exists():
+            worker.run("set_cameras", database=work / "database.db", cameras=cameras.records())
+            worker.run(
+                "map_incrementally",
+                progress=lambda done, total: reporter.progress(done, total, "coarse mapping"),
+                database=work / "database.db",
+                out=model,
+                start=None,
+                options=_HELD if hold else _MAPPING,
+                seed=attempt.seed,
+                threads=threads,
+            )
+        if not model.exists():
+            continue
+        found = by_photo_names(Reconstruction.load(model), photos)
+        drift = _drift(found, cameras, photos)
+        error = float(found.errors.mean()) if len(found.errors) else np.inf
+        reporter.event("coarse_mapping", guess=k, placed=len(found.names), error_px=error, drift=drift)
+        if drift <= _LARGEST_DRIFT:
+            results.append((found, cameras, error))
+    if not results:
+        return None, guesses[0]
+    most = max(len(found.names) for found, _, _ in results)
+    even = [result for result in results if len(result[0].names) >= _ABOUT_AS_MANY * most]
+    found, cameras, _ = min(even, key=lambda result: result[2])
+    return found, cameras
+
+
+def _vote(worker: ColmapWorker, database: Path, work: Path, cameras: SharedCameras) -> FocalVote:
+    """Among the photos that do not tell their focal length, if they have pairs enough; else among all."""
+    worker.run("fundamentals", database=database, out=work / "fundamentals.npz")
+    with np.load(work / "fundamentals.npz", allow_pickle=False) as arrays:
+        pairs, F, inliers = arrays["pairs"], arrays["F"], arrays["inliers"]
+    Ks = np.array([camera.K for camera in cameras.cameras])
+    camera = cameras.camera_ids[pairs]
+    guessed = ~np.array(cameras.known)[camera].any(1)
+    subsets = [guessed, np.ones(len(pairs), bool)] if guessed.any() else [np.ones(len(pairs), bool)]
+    for subset in subsets:
+        i, j = camera[subset].T
+        vote = vote_focal(F[subset], inliers[subset], Ks[i], Ks[j])
+        if vote.decided:
+            # Only what guessed cameras say may move the guesses.
+            return vote if subset is guessed else dataclasses.replace(vote, scale=1.0)
+    return vote
+
+
+def _drift(found: Reconstruction, start: SharedCameras, photos: Photos) -> float:
+    """The largest factor by which mapping changed a focal length."""
+    row = {name: k for k, name in enumerate(photos.names)}
+    before = np.array([start.cameras[start.camera_ids[row[name]]].params[0] for name in found.names])
+    after = np.array([found.camera_of(k).params[0] for k in range(len(found.names))])
+    return float(np.exp(np.abs(np.log(np.maximum(after, 1e-6) / before)).max()))
+
+
+def coarse_pairs(
+    similar: np.ndarray,  # [N, k] look-alikes, -1 = none
+    n: int,
+    window: int,
+) -> np.ndarray:
+    """[P, 2] i < j, sorted: `window` neighbours in file order, then every power of two, and the look-alikes."""
+    offsets = list(range(1, window + 1))
+    step = 1
+    while step < n:
+        offsets.append(step)
+        step *= 2
+    i = np.arange(n)
+    parts = [np.stack([i[: n - d], i[d:]], axis=1) for d in sorted(set(offsets)) if d < n]
+    rows, ranks = np.nonzero(similar >= 0)
+    parts.append(np.sort(np.stack([rows, similar[rows, ranks]], axis=1), axis=1))
+    return np.unique(np.concatenate(parts), axis=0)
