@@ -9,10 +9,11 @@ from scipy.spatial.transform import Rotation
 from graphgs.errors import DataError, UsageError
 from graphgs.progress import Reporter
 from graphgs.scene.camera import Camera
+from graphgs.scene.reconstruction import Reconstruction
 from graphgs.sources.photos import Photos
 from graphgs.structure.cameras import rescaled, shared_cameras, with_second_term
 from graphgs.structure.candidates import candidate_pairs
-from graphgs.structure.coarse_attempt import coarse_pairs
+from graphgs.structure.coarse_attempt import Attempt, _best_mapping, coarse_pairs
 from graphgs.structure.config import StructureConfig
 from graphgs.structure.focal import vote_focal
 from graphgs.structure.gps import enu_from_wgs84
@@ -205,3 +206,47 @@ def test_camera_models_keep_what_they_know():
     photos = photos_of(None, 9)
     cameras = dataclasses.replace(shared_cameras(photos), cameras=(fisheye,))
     assert with_second_term(cameras).cameras == (fisheye,)
+
+
+class MapperStandIn:
+    """Answers mapping jobs with models of given size and error; the focal length tells which guess was asked."""
+
+    def __init__(self, answers, focal_drift=1.0):
+        self.answers, self.focal, self.drift = answers, None, focal_drift  # {focal: (placed, error_px)}
+
+    def run(self, job, **arguments):
+        if job == "set_cameras":
+            self.focal = arguments["cameras"][0]["params"][0]
+            return
+        placed, error = self.answers[self.focal]
+        Reconstruction(
+            cameras=(Camera("SIMPLE_RADIAL", 320, 240, (self.focal * self.drift, 160.0, 120.0, 0.0)),),
+            names=tuple(f"photos/{k:06d}.png" for k in range(placed)),
+            camera_ids=np.zeros(placed, np.int64),
+            rotations=np.tile(np.eye(3), (placed, 1, 1)),
+            translations=np.zeros((placed, 3)),
+            errors=np.full(5, error),
+        ).save(arguments["out"])
+
+
+@pytest.mark.parametrize(
+    ("answers", "drift", "chosen"),
+    [
+        ({100.0: (50, 1.0), 200.0: (50, 0.8), 300.0: (50, 0.9)}, 1.0, 200.0),  # the least error
+        ({100.0: (50, 1.0), 200.0: (20, 0.1), 300.0: (50, 0.9)}, 1.0, 300.0),  # but not of a part of the photos
+        ({100.0: (49, 0.5), 200.0: (50, 0.8), 300.0: (50, 0.9)}, 1.0, 100.0),  # one photo fewer is about as many
+        ({100.0: (50, 1.0), 200.0: (50, 0.8), 300.0: (50, 0.9)}, 3.0, None),  # a focal length that ran away
+    ],
+)
+def test_of_several_guesses_the_mapping_with_the_least_error_wins(tmp_path, answers, drift, chosen):
+    photos = photos_of(tmp_path, 50)
+    start = shared_cameras(photos)
+    guesses = [
+        dataclasses.replace(start, cameras=(Camera("SIMPLE_RADIAL", 320, 240, (focal, 160.0, 120.0, 0.0)),))
+        for focal in answers
+    ]
+    found, cameras = _best_mapping(
+        photos, guesses, Attempt(640, 1000, 0, True), True, MapperStandIn(answers, drift), tmp_path, Reporter(), 1
+    )
+    assert (found.cameras[0].params[0] if found else None) == chosen
+    assert cameras.cameras[0].params[0] == (chosen or 100.0)
