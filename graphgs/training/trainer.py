@@ -133,12 +133,5 @@ class Trainer:
         )
 
     def _rates(self, step: int) -> dict[str, float]:
-        config, caution = self.config, RECOVERY_RATE**self.recoveries
-        return {
-            "means": caution * self._extent * self.schedule.means_rate(step),
-            "quats": caution * config.quats_rate,
-            "log_scales": caution * config.log_scales_rate,
-            "logit_opacities": caution * config.logit_opacities_rate,
-            "sh_dc": caution * config.sh_dc_rate,
-            "sh_rest": caution * config.sh_rest_rate,
-        }
+        caution = RECOVERY_RATE**self.recoveries
+        return {name: caution * rate for name, rate in self.schedule.rates(step, extent=self._extent).items()}
