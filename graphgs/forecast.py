@@ -1,5 +1,5 @@
-"""What a run will cost, said before it starts. Unit costs were measured on two cores of a server CPU; another machine
-differs by a factor of two either way, and the lines say so."""
+"""What a run will cost, said before it starts. Unit costs are means over four real photo sets (30 to 51 photos) on two
+cores of a server CPU; single sets differed from them by up to a factor of two, and another machine differs too."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -8,17 +8,19 @@ import numpy as np
 
 from graphgs.config import Config
 
-# CPU seconds on one thread
-DECODE_S = 0.2  # per photo
-COARSE_S = 0.3  # per photo: features, some twenty pairs, mapping
-FEATURES_S = 0.6  # per photo at 1600 px
-PAIR_S = 0.05  # per pair at 4096 features
-MAPPING_S = 0.2  # per photo
-STEP_S = 0.08  # per training step at 270 x 480 px and some ten thousand Gaussians
+# Seconds on one thread
+DECODE_S = 0.15  # per photo: .05 (0.5 megapixels) to .23 (2 megapixels)
+COARSE_S = 0.6  # per photo: .5 to .85
+FEATURES_S = 1.2  # per photo at 1600 px and 4096 features
+PAIR_S = 0.05  # per pair
+MAPPING_S = 0.25  # per photo: .06 to .4
+PAIRS_PER_PHOTO = 4.5  # 3.6 to 4.9
+# A training step at 270 x 480 px that ends with 30,000 Gaussians: 73 ms on two threads
+STEP_S = 0.146
 STEP_PIXELS = 270 * 480
-# Bytes
-SPLAT_BYTES = 59 * 4 * 6  # parameters, gradients, two Adam moments, working copies
-BASE_BYTES = 900 * 2**20
+# Peak memory: 1.1 GiB for whole runs with 30,000 Gaussians; 2.2 kB more for each Gaussian from 10,000 to 300,000
+BASE_BYTES = 1.0 * 2**30
+SPLAT_BYTES = 2_300
 
 
 @dataclass(frozen=True)
@@ -27,17 +29,17 @@ class Forecast:
 
     pairs: int
     exhaustive: int
-    structure_s: float
-    training_s: float
-    memory_bytes: float
+    structure_s: float  # wall
+    training_s: float  # wall, on the CPU
+    memory_bytes: float  # if training uses all of max_splats
     threads: int
 
     def lines(self) -> Iterator[str]:
-        yield f"forecast for {self.threads} CPU threads (rough; another machine may differ twofold):"
+        yield f"forecast for {self.threads} CPU threads (rough: a factor of two either way):"
         yield f"  pairs     about {self.pairs} of {self.exhaustive}"
         yield f"  poses     about {_duration(self.structure_s)}"
         yield f"  training  about {_duration(self.training_s)} on the CPU"
-        yield f"  memory    about {self.memory_bytes / 2**30:.1f} GiB"
+        yield f"  memory    up to {self.memory_bytes / 2**30:.1f} GiB"
 
 
 def forecast(
@@ -46,17 +48,17 @@ def forecast(
     *,
     threads: int,
 ) -> Forecast:
+    """Costs of a run over photos of these sizes."""
     n = len(sizes)
     exhaustive = n * (n - 1) // 2
-    pairs = exhaustive if config.pairing.pairs == "exhaustive" else min(exhaustive, round(5 * n))
+    pairs = exhaustive if config.pairing.pairs == "exhaustive" else min(exhaustive, round(PAIRS_PER_PHOTO * n))
     structure = n * (DECODE_S + COARSE_S + FEATURES_S + MAPPING_S) + pairs * PAIR_S
-    longest = sizes.max(axis=1)
     limit = config.structure.max_side or config.sources.decode_max_side
-    scale = np.minimum(1.0, limit / longest)
+    scale = np.minimum(1.0, limit / sizes.max(axis=1))
     pixels = float(np.mean(sizes.prod(axis=1) * scale**2))
     training = config.training.steps * STEP_S * pixels / STEP_PIXELS
     memory = BASE_BYTES + config.training.max_splats * SPLAT_BYTES
-    return Forecast(pairs, exhaustive, structure / threads, 2 * training / threads, memory, threads)
+    return Forecast(pairs, exhaustive, structure / threads, training / threads, memory, threads)
 
 
 def _duration(seconds: float) -> str:
