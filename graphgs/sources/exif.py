@@ -20,6 +20,7 @@ class Exif:
     focal_in_diagonals: float | None = None  # focal length / image diagonal
     gps: tuple[float, float, float] | None = None  # latitude, longitude [deg], altitude [m]
     time: float | None = None  # [s] camera clock, read as UTC
+    readable: bool = True  # False: there are tags, but nothing can be made of them
 
     def focal_px(self, width: int, height: int) -> float | None:
         """[px] focal length for an image of this size."""
@@ -31,8 +32,8 @@ def read_exif(image: Image.Image) -> Exif:
     try:
         root = image.getexif()
         detail, gps = root.get_ifd(ExifTags.IFD.Exif), root.get_ifd(ExifTags.IFD.GPSInfo)
-    except Exception:
-        return Exif()  # foreign bytes in a format with many corners: any exception means there is no usable EXIF
+    except Exception:  # foreign bytes in a format with many corners: Pillow raises whatever it stumbles over
+        return Exif(readable=False)  # the sources stage names the photo
     base = ExifTags.Base
     orientation = root.get(base.Orientation, 1)
     focal, film = _number(detail.get(base.FocalLength)), _number(detail.get(base.FocalLengthIn35mmFilm))

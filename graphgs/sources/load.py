@@ -60,6 +60,12 @@ def load_photos(
         reporter.warn(f"{file.name}: skipped: {file.reason}")
     if len(skipped) > SHOWN:
         reporter.warn(f"{len(skipped) - SHOWN} more files were skipped; the report names them")
+    damaged = [photo.name for photo in photos if not photo.exif_readable]
+    if damaged:
+        reporter.warn(
+            f"{len(damaged)} photos have damaged EXIF data and are taken as upright, without focal length: "
+            f"{', '.join(damaged[:SHOWN])}"
+        )
     if layout.note:
         reporter.info(layout.note)
     reporter.event(
@@ -144,6 +150,7 @@ def _one(config: SourcesConfig, layout: Layout, folder: Path, budget: _PixelBudg
         sha256=hashlib.sha256(data).hexdigest(),
         gps=exif.gps,
         time=exif.time,
+        exif_readable=exif.readable,
         orientation=exif.orientation,
     )
 

@@ -28,6 +28,7 @@ class Photo:
     sha256: str  # of the original file
     gps: tuple[float, float, float] | None  # latitude, longitude [deg, WGS84], altitude [m, 0 if not given]
     time: float | None  # [s] the camera's own clock at capture, read as if it were UTC
+    exif_readable: bool = True  # False: damaged EXIF, so taken as upright, without focal length and position
     orientation: int = 1  # EXIF orientation the file had; the decoded pixels are upright
 
     @property

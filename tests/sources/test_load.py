@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import struct
 
 import cv2
 import numpy as np
@@ -240,3 +241,15 @@ def test_aerial_photos_come_out_upright(tmp_path, shared_data):
     theirs = cv2.imread(str(source / photos.names[0]))  # OpenCV turns by EXIF
     ours = cv2.imread(str(tmp_path / "out" / photos.photos[0].pixels))
     assert np.abs(cv2.resize(theirs, (300, 400), interpolation=cv2.INTER_AREA).astype(int) - ours).mean() < 2
+
+
+def test_damaged_exif_is_said(tmp_path, monkeypatch):
+    def stumble(self):
+        raise struct.error("unpack requires a buffer of 2 bytes")
+
+    write_photos(tmp_path / "in", 3)
+    monkeypatch.setattr(Image.Image, "getexif", stumble)
+    notes = Notes()
+    photos = load_photos(SourcesConfig(), tmp_path / "in", tmp_path / "out", reporter=notes, threads=1)
+    assert [photo.exif_readable for photo in photos.photos] == [False] * 3
+    assert any("3 photos have damaged EXIF" in warning for warning in notes.warnings)
