@@ -1,23 +1,10 @@
 """From a reconstruction and its verified pairs to the camera graph."""
 
 import numpy as np
-from scipy import sparse
 
 from graphgs.graph.camera_graph import CameraGraph
+from graphgs.scene.covisibility import shared_points
 from graphgs.scene.reconstruction import Reconstruction
-
-
-def shared_points(reconstruction: Reconstruction) -> sparse.csr_matrix:
-    """[N, N] symmetric: how many points two images both see; nothing on the diagonal."""
-    n, p = len(reconstruction.names), len(reconstruction.points)
-    owners = np.repeat(np.arange(p), reconstruction.track_lengths)
-    seen = sparse.csr_matrix(
-        (np.ones(len(owners), np.int32), (reconstruction.track_images, owners)), shape=(n, p), dtype=np.int32
-    )
-    seen.data[:] = 1  # a point observed twice in an image counts once
-    counts = (seen @ seen.T).tolil()
-    counts.setdiag(0)
-    return counts.tocsr()
 
 
 def build_camera_graph(

@@ -4,10 +4,11 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
-from scipy.sparse import csr_matrix
+from scipy import sparse
 
 from graphgs.errors import DataError
 from graphgs.progress import Reporter
+from graphgs.scene.covisibility import shared_points
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.sources.photos import Photos
 from graphgs.structure.acceptance import agreement
@@ -88,12 +89,8 @@ def map_given(
 
 def covisible_pairs(reconstruction: Reconstruction, *, least: int) -> tuple[np.ndarray, np.ndarray]:
     """(edges [E, 2] i < j sorted, shared points [E]) of the pairs that see at least `least` points together."""
-    n, points = len(reconstruction.names), len(reconstruction.points)
-    point = np.repeat(np.arange(points), reconstruction.track_lengths)
-    seen = csr_matrix((np.ones(len(point), np.int64), (reconstruction.track_images, point)), shape=(n, points))
-    seen.data[:] = 1
-    shared = (seen @ seen.T).tocoo()
-    keep = (shared.row < shared.col) & (shared.data >= least)
+    shared = sparse.triu(shared_points(reconstruction), k=1).tocoo()
+    keep = shared.data >= least
     edges = np.stack([shared.row[keep], shared.col[keep]], axis=1).astype(np.int64)
     order = np.lexsort((edges[:, 1], edges[:, 0]))
     return edges[order], shared.data[keep][order]

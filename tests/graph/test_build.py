@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from graphgs.graph.build import build_camera_graph, shared_points
+from graphgs.graph.build import build_camera_graph
 from graphgs.scene.camera import Camera
+from graphgs.scene.covisibility import shared_points
 from graphgs.scene.reconstruction import Reconstruction
 
 TRACKS = [[0, 1], [0, 1, 2], [2, 3], [1, 1], [3]]  # images that see each point; one sees the fourth twice
