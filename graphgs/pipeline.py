@@ -147,10 +147,10 @@ class Run:
             self.reporter.info("unchanged, reused")
         return outcome.artefact
 
-    def found(self, stage: Stage, load) -> Any:
-        """The artefact of an earlier run, whatever its settings were; None if that stage did not run."""
+    def found(self, stage: Stage, load, used: tuple[str, ...]) -> Any:
+        """The artefact of an earlier run, whatever its settings were; None unless its key is among those `used`."""
         found = self.workspace.find(stage)
-        if found is None:
+        if found is None or found.key not in used:
             return None
         self.keys[stage.name], self.seconds[stage.name] = found.key, found.seconds
         return load(found.folder)
@@ -198,14 +198,25 @@ def find_poses(run: Run) -> Posed:
 
 def resume_poses(run: Run) -> Posed:
     """The poses an earlier run left in the workspace. Raises UsageError if there are none."""
-    photos, structure = run.found(PHOTOS, Photos.load), run.found(MAPPING, Structure.load)
-    if photos is None or structure is None:
+    mapping, matched = run.workspace.find(MAPPING), run.workspace.find(MATCHES)
+    if mapping is None:
         raise UsageError(
             f"{run.workspace.output}: no camera poses there",
             hint="run `graphgs pose PHOTOS SCENE` or `graphgs run` first",
         )
-    prior, pairs = run.found(COARSE, Prior.load), run.found(PAIRS, Pairs.load)
-    return _viewed(run, photos, structure, prior, pairs, run.found(MATCHES, Matches.load))
+    # Only what the poses were made from: the workspace may hold newer steps of a run that did not get to them.
+    photos = run.found(PHOTOS, Photos.load, mapping.inputs)
+    if photos is None:
+        raise UsageError(
+            f"{run.workspace.output}: its camera poses belong to other photos or settings than the ones read last",
+            hint="finish with `graphgs pose` or `graphgs run`, then train",
+        )
+    prior = run.found(COARSE, Prior.load, mapping.inputs)
+    from_matches = matched.inputs if matched is not None and matched.key in mapping.inputs else ()
+    pairs = run.found(PAIRS, Pairs.load, from_matches)
+    matches = run.found(MATCHES, Matches.load, mapping.inputs)
+    structure = run.found(MAPPING, Structure.load, (mapping.key,))
+    return _viewed(run, photos, structure, prior, pairs, matches)
 
 
 def make_scene(run: Run, posed: Posed) -> tuple[Trained, Evaluation]:

@@ -59,6 +59,7 @@ class Found:
 
     folder: Path
     key: str
+    inputs: tuple[str, ...]  # keys of the artefacts it was made from
     seconds: float
 
 
@@ -113,7 +114,7 @@ class Workspace:
         artefact = produce(partial, work)
         artefact.save(partial)
         seconds = round(time.perf_counter() - started, 3)
-        write_json(partial / "stage.json", {"key": key, "version": stage.version, "seconds": seconds})
+        write_json(partial / "stage.json", {"key": key, "inputs": inputs, "version": stage.version, "seconds": seconds})
         sync_tree(partial)
         _remove(folder)
         partial.rename(folder)
@@ -126,7 +127,9 @@ class Workspace:
     def find(self, stage: Stage) -> "Found | None":
         """A finished stage, whatever its key; None if there is none."""
         record = _read_record(self.cache / stage.folder)
-        return None if record is None else Found(self.cache / stage.folder, record["key"], record["seconds"])
+        if record is None:
+            return None
+        return Found(self.cache / stage.folder, record["key"], tuple(record["inputs"]), record["seconds"])
 
 
 def make_writable(folder: Path) -> None:
@@ -199,7 +202,7 @@ def _read_record(folder: Path) -> dict | None:
         record = json.loads((folder / "stage.json").read_text())
     except (FileNotFoundError, NotADirectoryError, ValueError):  # ValueError: damaged
         return None
-    return record if isinstance(record, dict) and {"key", "seconds"} <= record.keys() else None
+    return record if isinstance(record, dict) and {"key", "inputs", "seconds"} <= record.keys() else None
 
 
 def _scratch(folder: Path, key: str) -> Path:

@@ -132,6 +132,25 @@ def test_train_goes_on_from_the_poses_with_the_scenes_settings(scene):
     assert "max_side = 640" in settings
 
 
+def test_train_refuses_poses_of_other_photos(scene, tmp_path, capsys):
+    """A run with other photos was killed after reading them: the poses that are left are not theirs."""
+    stale = tmp_path / "scene"
+    shutil.copytree(scene, stale)
+    record = stale / "cache" / "01_photos" / "stage.json"
+    record.write_text(json.dumps(json.loads(record.read_text()) | {"key": "of other photos"}))
+    assert cli._guarded(["train", str(stale), "--steps", "5"]) == 2
+    assert "belong to other photos" in capsys.readouterr().err
+
+
+def test_train_reports_no_pairs_that_the_poses_were_not_made_from(scene, tmp_path):
+    stale = tmp_path / "scene"
+    shutil.copytree(scene, stale)
+    record = stale / "cache" / "04_matches" / "stage.json"
+    record.write_text(json.dumps(json.loads(record.read_text()) | {"key": "of other pairs"}))
+    assert cli._guarded(["train", str(stale), "--steps", "5"]) == 0
+    assert json.loads((stale / "metrics.json").read_text())["pairs_candidate"] is None
+
+
 def test_python_gives_what_the_command_gives(photos, scene):
     """The same options, so every stage but training (other steps) is reused."""
     result = graphgs.run(photos, scene, preset="preview", device="cpu", threads=2, steps=20)
