@@ -2,6 +2,7 @@
 
 from graphgs.training.config import TrainConfig
 
+LEAST_INTERVAL = 10  # steps between two rounds: the gradients of fewer views say little
 REFERENCE_STEPS = 30_000  # the length that 3DGS's rates are tuned for
 
 
@@ -13,7 +14,9 @@ class Schedule:
         steps = config.steps
         self._sh_interval = max(1, min(config.sh_degree_interval, round(config.sh_degree_fraction * steps)))
         self.densify_from = min(config.densify_from_step, round(config.densify_from_fraction * steps))
-        self.densify_interval = max(1, min(config.densify_interval, round(config.densify_interval_fraction * steps)))
+        self.densify_interval = min(
+            config.densify_interval, max(LEAST_INTERVAL, round(config.densify_interval_fraction * steps))
+        )
         self.densify_until = round(config.densify_until_fraction * steps)
         self.consistency_from = round(config.consistency_from_fraction * steps)
 
