@@ -1,14 +1,13 @@
 """splat.ply: the layout as plyfile sees it, and what a bad file meets."""
 
 import numpy as np
+import plyfile
 import pytest
 import torch
 
 from graphgs.errors import DataError
 from graphgs.export.ply import PROPERTIES, read_ply, write_ply
 from graphgs.rendering.splats import TENSORS, Splats
-
-plyfile = pytest.importorskip("plyfile")
 
 
 @pytest.fixture
