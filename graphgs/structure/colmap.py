@@ -1,5 +1,6 @@
 """The client of the COLMAP worker: starts it, sends jobs, relays progress, makes its death an error with a cause."""
 
+import contextlib
 import json
 import os
 import signal
@@ -45,7 +46,8 @@ class ColmapWorker:
     def __exit__(self, *exception) -> None:
         self._process.kill()
         self._process.wait()
-        self._process.stdin.close()
+        with contextlib.suppress(BrokenPipeError):  # a job that the worker died before reading is flushed once more
+            self._process.stdin.close()
         self._process.stdout.close()
 
     def run(self, job: str, *, progress: Callable[[int, int], None] | None = None, **arguments) -> dict:
