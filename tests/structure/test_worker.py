@@ -78,10 +78,15 @@ def test_a_native_abort_is_an_error_with_a_cause(tmp_path):
 
 def test_a_worker_that_died_between_two_jobs_is_named(tmp_path):
     """What was written for it has no reader left; closing the pipe must not hide why."""
-    with pytest.raises(OutOfMemoryError, match="SIGKILL"), ColmapWorker(tmp_path) as worker:
-        os.kill(worker.pid, signal.SIGKILL)
-        worker._process.wait()
-        worker.run("create_database", **empty_database(tmp_path))
+
+    def killed_before_its_job():
+        with ColmapWorker(tmp_path) as worker:
+            os.kill(worker.pid, signal.SIGKILL)
+            worker._process.wait()
+            worker.run("create_database", **empty_database(tmp_path))
+
+    with pytest.raises(OutOfMemoryError, match="SIGKILL"):
+        killed_before_its_job()
 
 
 def test_a_worker_killed_from_outside_points_to_memory(tmp_path):
