@@ -92,7 +92,7 @@ def pose(
         accepted = posed.structure.accepted
         metrics = write_outputs(job, posed, None, command=command, status="posed" if accepted else "partial")
         if not accepted and not config.run.allow_partial:
-            raise partial_error(posed)
+            raise partial_error(posed, config.structure)
         return RunResult(job.workspace.output, metrics, metrics["status"])
 
 
@@ -119,7 +119,7 @@ def train(
 def _finish(job: Run, posed, command: str) -> RunResult:
     if not posed.structure.accepted and not job.config.run.allow_partial:
         write_outputs(job, posed, None, command=command, status="partial")
-        raise partial_error(posed)
+        raise partial_error(posed, job.config.structure)
     made = Made(*make_scene(job, posed))
     metrics = write_outputs(job, posed, made, command=command, status="complete")
     return RunResult(job.workspace.output, metrics, "complete")

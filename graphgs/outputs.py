@@ -97,7 +97,7 @@ def report_data(
     run: Run, posed: Posed, made: Made | None, metrics: dict[str, Any], *, command: str, status: str
 ) -> ReportData:
     """The plain data the report is made from."""
-    partial = partial_error(posed) if status == "partial" else None
+    partial = partial_error(posed, run.config.structure) if status == "partial" else None
     return ReportData(
         title=run.workspace.output.resolve().name,
         status="complete" if partial is None else "partial",

@@ -23,6 +23,7 @@ from graphgs.rendering.splats import Splats
 from graphgs.scene.views import Views
 from graphgs.sources import Photos, fingerprint, load_photos
 from graphgs.structure.candidates import candidate_pairs
+from graphgs.structure.config import StructureConfig
 from graphgs.structure.given import keep_given, map_given, needs_matching
 from graphgs.structure.mapping import map_fine
 from graphgs.structure.matching import Matches, match_pairs
@@ -223,7 +224,7 @@ def make_scene(run: Run, posed: Posed) -> tuple[Trained, Evaluation]:
     """From posed views to a trained scene and its figures on held-out views."""
     config, reporter, threads = run.config, run.reporter, run.threads
     if not posed.structure.accepted and not config.run.allow_partial:
-        raise partial_error(posed)
+        raise partial_error(posed, config.structure)
     points = run.stage(
         POINTS,
         [MAPPING],
@@ -253,19 +254,18 @@ def make_scene(run: Run, posed: Posed) -> tuple[Trained, Evaluation]:
     return trained, evaluation
 
 
-def partial_error(posed: Posed) -> PartialError:
-    """Why a structure that was not accepted is not trained on."""
-    placed, total = len(posed.structure.reconstruction.names), len(posed.photos.photos)
-    left = len(posed.structure.unregistered)
-    reason = f"{placed} of {total} photos could be placed"
-    if posed.structure.component < total:
-        reason += f"; the largest group with common features holds {posed.structure.component}"
-    if left == 0 or placed >= 0.95 * posed.structure.component:
-        reason += "; the first and the final reconstruction disagree"
-    return PartialError(
-        f"partial: {reason}",
-        hint="the report names the photos and reasons; add photos in between, or train on these with --allow-partial",
-    )
+def partial_error(posed: Posed, limits: StructureConfig) -> PartialError:
+    """Why a structure that was not accepted is not trained on, and whether the poses it has can be trusted."""
+    structure = posed.structure
+    reasons = [f"{len(structure.reconstruction.names)} of {len(posed.photos.photos)} photos could be placed"]
+    if structure.component < len(posed.photos.photos):
+        reasons.append(f"the largest group with common features holds {structure.component}")
+    trusted = structure.agreement is not None and structure.agreement.within(limits)
+    if not trusted:
+        reasons.append(f"the poses do not agree with {structure.compared_with or 'a second reconstruction'}")
+    hint = "the report names the photos and reasons; add photos in between, "
+    hint += "or train on these" if trusted else "or train on these doubtful poses"
+    return PartialError(f"partial: {'; '.join(reasons)}", hint=f"{hint} with --allow-partial")
 
 
 def _photos(run: Run) -> Photos:
