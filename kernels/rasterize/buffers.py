@@ -13,7 +13,8 @@ class Splats:
     conics: wp.array  # [C * N] vec3 [px^-2]
     depths: wp.array  # [C * N]
     opacities: wp.array  # [C * N]
-    colors: wp.array | None = None  # [C * N] vec3
+    colors: wp.array | None = None  # [C * N] vector of D channels, 1 to 32
+    abs_means2d: wp.array | None = None  # gradients only, [C * N] vec2: sum over pixels of |their share of means2d|
 
 
 @dataclass(frozen=True)
@@ -23,13 +24,15 @@ class Frame:
     cameras: int
     width: int  # [px]
     height: int  # [px]
-    backgrounds: wp.array  # [C] vec3
+    backgrounds: wp.array  # [C] vector of D channels
+    masks: wp.array | None = None  # [C * H * W] uint8; where 0, a pixel sees no splat: background, alpha 0, no gradient
 
 
 @dataclass(frozen=True)
 class Image:
     """Rendered pixels, or their cotangents."""
 
-    colors: wp.array  # [C * H * W] vec3
+    colors: wp.array  # [C * H * W] vector of D channels
     alphas: wp.array  # [C * H * W]
     depths: wp.array  # [C * H * W] expected depth
+    median_depths: wp.array | None = None  # [C * H * W] depth of the splat that halves the light; 0 = light stays above
