@@ -1,45 +1,80 @@
-"""python -m bench [--only NAME] [--gate] [--update-baseline]: medians with the device, the versions and the commit."""
+"""python -m bench [--only NAME ...] [--device cuda:0] [--gate] [--update-baseline]
+
+Medians with the device, the versions and the commit, and how they compare with the baseline of the same device.
+"""
 
 import argparse
 import platform
 import subprocess
 import sys
+from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 
 import torch
 import warp as wp
 
-from bench import rasterize
 from bench.baselines import device_name, load_baseline, update_baseline
 from bench.metrics import Metric
 
-WORKLOADS = {"rasterize": rasterize.run}
+
+@dataclass(frozen=True)
+class Workload:
+    module: str  # in this package, imported when it runs; its `run(device)` returns metrics
+    about: str
+    same_everywhere: bool = False  # no timings: one baseline for all machines, per version of Warp
+
+
+WORKLOADS = {
+    "rasterize": Workload("rasterize", "rasterize, forward and backward"),
+}
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(prog="python -m bench", description="Time the parts of GraphGS.")
-    parser.add_argument("--only", choices=sorted(WORKLOADS), help="run this workload alone")
-    parser.add_argument("--gate", action="store_true", help="exit 1 if a metric is worse than its baseline allows")
-    parser.add_argument("--update-baseline", action="store_true", help="store the results for this device")
-    args = parser.parse_args()
-
-    device = device_name()
+    args = parse()
+    if args.list:
+        print("\n".join(f"{name:12} {workload.about}" for name, workload in WORKLOADS.items()))
+        return 0
+    device = device_name(args.device)
     environment = {"commit": commit(), "warp": wp.__version__, "torch": torch.__version__}
     print(device)
     print(", ".join(f"{k} {v}" for k, v in {"python": platform.python_version(), **environment}.items()))
-    metrics = [m for name, run in WORKLOADS.items() if args.only in (None, name) for m in run()]
 
-    baseline = load_baseline(device)
-    for metric in metrics:
-        print(line(metric, baseline.get(metric.name)))
-    if args.update_baseline:
-        print(f"wrote {update_baseline(device, metrics, environment)}")
-    regressed = [m.name for m in metrics if m.name in baseline and m.regressed(baseline[m.name])]
+    regressed = []
+    for name in args.only or WORKLOADS:
+        workload = WORKLOADS[name]
+        metrics = import_module(f"bench.{workload.module}").run(args.device)
+        store = name if workload.same_everywhere else device
+        baseline = load_baseline(store, warp=wp.__version__ if workload.same_everywhere else None)
+        report(metrics, baseline, changes_only=workload.same_everywhere)
+        regressed += [m.name for m in metrics if m.name in baseline and m.regressed(baseline[m.name])]
+        if args.update_baseline:
+            print(f"wrote {update_baseline(store, metrics, environment)}")
+        elif args.gate and not any(m.name in baseline for m in metrics):
+            print(f"{name}: no baseline for {store}, nothing to compare with (--update-baseline makes one)")
     if regressed:
         print(f"worse than the baseline allows: {', '.join(regressed)}")
-    elif args.gate and not baseline:
-        print("no baseline for this device: nothing to compare with (--update-baseline makes one)")
     return 1 if args.gate and regressed else 0
+
+
+def parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m bench", description="Time the parts of GraphGS.")
+    parser.add_argument("--list", action="store_true", help="print the workloads and exit")
+    parser.add_argument("--only", nargs="+", choices=WORKLOADS, metavar="NAME", help="run these workloads alone")
+    parser.add_argument("--device", default="cpu", help="cpu or cuda:0 (default: cpu)")
+    parser.add_argument("--gate", action="store_true", help="exit 1 if a metric is worse than its baseline allows")
+    parser.add_argument("--update-baseline", action="store_true", help="store the results for this device")
+    args = parser.parse_args()
+    if args.device != "cpu" and not (wp.is_cuda_available() and torch.cuda.is_available()):
+        parser.error(f"--device {args.device}: needs a CUDA device that both Warp and torch can use")
+    return args
+
+
+def report(metrics: list[Metric], baseline: dict[str, float], *, changes_only: bool) -> None:
+    for metric in metrics:
+        before = baseline.get(metric.name)
+        if not changes_only or (before is not None and metric.change(before) != 0):
+            print(line(metric, before))
 
 
 def line(metric: Metric, baseline: float | None) -> str:

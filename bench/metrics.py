@@ -1,5 +1,6 @@
 """One number of a benchmark, and how it compares with the committed one of the same device."""
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -13,9 +14,11 @@ class Metric:
     tolerance: float  # relative change for the worse that is still no regression
 
     def change(self, baseline: float) -> float:
-        """Relative change against a baseline; positive is worse."""
-        ratio = self.value / baseline
-        return ratio - 1 if self.direction == "lower" else 1 / ratio - 1
+        """Relative change against a baseline; positive is worse. Leaving 0 for the worse is a change without limit."""
+        if self.value == baseline:
+            return 0.0
+        before, after = (baseline, self.value) if self.direction == "lower" else (self.value, baseline)
+        return after / before - 1 if before else math.inf
 
     def regressed(self, baseline: float) -> bool:
         return self.change(baseline) > self.tolerance

@@ -70,7 +70,7 @@ def workload(name: str) -> Workload:
     return recorded_workload(path) if path.is_file() else procedural_workload(SIZES[name])
 
 
-def run() -> list[Metric]:
+def run(device: str) -> list[Metric]:
     metrics = []
     torch_threads = torch.get_num_threads()
     for name in SIZES:

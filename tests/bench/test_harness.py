@@ -1,0 +1,42 @@
+"""What the benchmark's gate decides, and what its baselines keep."""
+
+import math
+
+import pytest
+
+from bench import baselines
+from bench.metrics import Metric
+
+
+@pytest.mark.parametrize(
+    ("direction", "baseline", "value", "change"),
+    [
+        ("lower", 10, 12, 0.2),
+        ("lower", 10, 5, -0.5),
+        ("higher", 12, 10, 0.2),
+        ("higher", 5, 10, -0.5),
+        ("lower", 0, 0, 0),
+        ("lower", 0, 8, math.inf),
+        ("higher", 2, 0, math.inf),
+        ("higher", 0, 2, -1),
+    ],
+)
+def test_change_is_positive_when_worse(direction, baseline, value, change):
+    assert Metric("m", value, "ms", direction, 0.1).change(baseline) == pytest.approx(change)
+
+
+def test_a_metric_regresses_past_its_tolerance():
+    assert not Metric("m", 10.9, "ms", "lower", 0.1).regressed(10)
+    assert Metric("m", 11.1, "ms", "lower", 0.1).regressed(10)
+    assert Metric("m", 8, "B", "lower", 0.1).regressed(0)
+
+
+def test_baselines_keep_what_did_not_run(tmp_path, monkeypatch):
+    monkeypatch.setattr(baselines, "FOLDER", tmp_path / "baselines")
+    old, new = {"commit": "a", "warp": "1"}, {"commit": "b", "warp": "2"}
+    assert baselines.load_baseline("A processor, 2 CPUs") == {}
+    first = [Metric("x", 1.0, "ms", "lower", 0.1), Metric("y", 2.0, "ms", "lower", 0.1)]
+    baselines.update_baseline("A processor, 2 CPUs", first, old)
+    baselines.update_baseline("A processor, 2 CPUs", [Metric("y", 3.0, "ms", "lower", 0.1)], new)
+    assert baselines.load_baseline("A processor, 2 CPUs") == {"x": 1.0, "y": 3.0}
+    assert baselines.load_baseline("A processor, 2 CPUs", warp="2") == {"y": 3.0}
