@@ -36,3 +36,8 @@ class Image:
     alphas: wp.array  # [C * H * W]
     depths: wp.array  # [C * H * W] expected depth
     median_depths: wp.array | None = None  # [C * H * W] depth of the splat that halves the light; 0 = light stays above
+
+
+def or_empty(array: wp.array | None, dtype, device) -> wp.array:
+    """As a kernel takes it: an array that is not wanted has no elements."""
+    return wp.empty(0, dtype=dtype, device=device) if array is None else array

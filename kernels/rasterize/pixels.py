@@ -1,4 +1,4 @@
-"""Compositing, one thread per pixel: the plain shape, for CUDA, for float64, and the benchmark's yardstick.
+"""Compositing, one thread per pixel: the plain shape, for float64, and to read.
 
 The derivation of the adjoint is in docs/kernels.md. The backward kernel adds with atomics, so on the CPU, where Warp's
 atomics are not atomic, it runs on one thread.
@@ -6,12 +6,12 @@ atomics are not atomic, it runs on one thread.
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 import warp as wp
 
 from graphgs.kernels.launch import launch_range
-from graphgs.kernels.rasterize.buffers import Frame, Image, Splats
+from graphgs.kernels.rasterize.blending import falloff_at, halves_light, sees_splats
+from graphgs.kernels.rasterize.buffers import Frame, Image, Splats, or_empty
 from graphgs.kernels.rasterize.constants import ALPHA_MAX, ALPHA_MIN, TILE_SIZE, TRANSMITTANCE_MIN
 from graphgs.kernels.rasterize.intersections import Intersections, intersect_tiles
 
@@ -27,16 +27,9 @@ def find_pixel(index: int, width: int, height: int):
     return c, (c * rows + py // TILE_SIZE) * columns + px // TILE_SIZE, px, py
 
 
-@wp.func
-def falloff_at(offset: Any, conic: Any):
-    """exp(-sigma) at an offset from the mean [px]; sigma is half the squared Mahalanobis distance."""
-    dx, dy = offset[0], offset[1]
-    return wp.exp(-(offset.dtype(0.5) * (conic[0] * dx * dx + conic[2] * dy * dy) + conic[1] * dx * dy))
-
-
 @cache
-def pixels_forward_kernel(real):
-    vec2, vec3, vec4 = (wp.types.vector(length, real) for length in (2, 3, 4))
+def pixels_forward_kernel(real, channels: int):
+    vec2, vec3, vecD = (wp.types.vector(length, real) for length in (2, 3, channels))
 
     @wp.kernel(enable_backward=False, module="unique")
     def pixels_forward(
@@ -46,27 +39,32 @@ def pixels_forward_kernel(real):
         conics: wp.array(dtype=vec3),
         depths: wp.array(dtype=real),
         opacities: wp.array(dtype=real),
-        colors: wp.array(dtype=vec3),
+        colors: wp.array(dtype=vecD),
         # Tiles
         splat_ids: wp.array(dtype=int),  # [I]
         tile_ranges: wp.array(dtype=wp.vec2i),  # [C * tiles]
         # Frame
         width: int,
         height: int,
-        backgrounds: wp.array(dtype=vec3),  # [C]
+        backgrounds: wp.array(dtype=vecD),  # [C]
+        masks: wp.array(dtype=wp.uint8),  # [C * H * W], or empty
         # Out, [C * H * W]
-        render_colors: wp.array(dtype=vec3),
+        render_colors: wp.array(dtype=vecD),
         render_alphas: wp.array(dtype=real),
         render_depths: wp.array(dtype=real),
-        sums: wp.array(dtype=vec4),  # sum of w * (color, depth), without background
+        median_depths: wp.array(dtype=real),  # or empty
+        color_sums: wp.array(dtype=vecD),  # sum of w * color, without background
+        depth_sums: wp.array(dtype=real),  # sum of w * depth
     ):
         index = first + wp.tid()
         c, tile, px, py = find_pixel(index, width, height)
         pixel = vec2(real(px) + real(0.5), real(py) + real(0.5))
-        color = vec3()
+        last = wp.where(sees_splats(masks, index), tile_ranges[tile][1], 0)
+        color = vecD()
         depth = real(0.0)
+        median_depth = real(0.0)
         transmittance = real(1.0)
-        for i in range(tile_ranges[tile][0], tile_ranges[tile][1]):
+        for i in range(tile_ranges[tile][0], last):
             s = splat_ids[i]
             alpha = wp.min(real(ALPHA_MAX), opacities[s] * falloff_at(pixel - means2d[s], conics[s]))
             if alpha < real(ALPHA_MIN):
@@ -77,19 +75,24 @@ def pixels_forward_kernel(real):
             weight = alpha * transmittance
             color += weight * colors[s]
             depth += weight * depths[s]
+            if halves_light(transmittance, behind):
+                median_depth = depths[s]
             transmittance = behind
         alpha_sum = real(1.0) - transmittance
         render_colors[index] = color + transmittance * backgrounds[c]
         render_alphas[index] = alpha_sum
         render_depths[index] = wp.where(alpha_sum > real(0.0), depth / alpha_sum, real(0.0))
-        sums[index] = vec4(color[0], color[1], color[2], depth)
+        if median_depths.shape[0] > 0:
+            median_depths[index] = median_depth
+        color_sums[index] = color
+        depth_sums[index] = depth
 
     return pixels_forward
 
 
 @cache
-def pixels_backward_kernel(real):
-    vec2, vec3, vec4 = (wp.types.vector(length, real) for length in (2, 3, 4))
+def pixels_backward_kernel(real, channels: int):
+    vec2, vec3, vecD = (wp.types.vector(length, real) for length in (2, 3, channels))
 
     @wp.kernel(enable_backward=False, module="unique")
     def pixels_backward(
@@ -99,42 +102,46 @@ def pixels_backward_kernel(real):
         conics: wp.array(dtype=vec3),
         depths: wp.array(dtype=real),
         opacities: wp.array(dtype=real),
-        colors: wp.array(dtype=vec3),
+        colors: wp.array(dtype=vecD),
         # Tiles
         splat_ids: wp.array(dtype=int),  # [I]
         tile_ranges: wp.array(dtype=wp.vec2i),  # [C * tiles]
         # Frame
         width: int,
         height: int,
-        backgrounds: wp.array(dtype=vec3),  # [C]
+        backgrounds: wp.array(dtype=vecD),  # [C]
         # Rendered, and cotangents, [C * H * W]
         render_alphas: wp.array(dtype=real),
-        sums: wp.array(dtype=vec4),
-        v_colors: wp.array(dtype=vec3),
+        color_sums: wp.array(dtype=vecD),
+        depth_sums: wp.array(dtype=real),
+        v_colors: wp.array(dtype=vecD),
         v_alphas: wp.array(dtype=real),
         v_depths: wp.array(dtype=real),
+        v_median_depths: wp.array(dtype=real),  # or empty
         # Out, [C * N], zero before
         v_means2d: wp.array(dtype=vec2),
         v_conics: wp.array(dtype=vec3),
         v_splat_depths: wp.array(dtype=real),
         v_opacities: wp.array(dtype=real),
-        v_splat_colors: wp.array(dtype=vec3),
+        v_splat_colors: wp.array(dtype=vecD),
+        v_abs_means2d: wp.array(dtype=vec2),  # or empty
     ):
         index = first + wp.tid()
         alpha_sum = render_alphas[index]
-        if alpha_sum <= real(0.0):
+        if alpha_sum <= real(0.0):  # a masked pixel, too
             return
         c, tile, px, py = find_pixel(index, width, height)
         pixel = vec2(real(px) + real(0.5), real(py) + real(0.5))
 
         # Cotangents of the plain sums over w: colour, depth, and w itself.
-        total = sums[index]
         v_color = v_colors[index]
         v_depth = v_depths[index] / alpha_sum
-        v_weight = v_alphas[index] - wp.dot(v_color, backgrounds[c]) - v_depth * total[3] / alpha_sum
+        v_weight = v_alphas[index] - wp.dot(v_color, backgrounds[c]) - v_depth * depth_sums[index] / alpha_sum
+        v_median_depth = real(0.0)
+        if v_median_depths.shape[0] > 0:
+            v_median_depth = v_median_depths[index]
         # The part of the loss that still lies behind: sum over the remaining Gaussians of w * dL/dw.
-        remaining = v_weight * alpha_sum + v_depth * total[3]
-        remaining += v_color[0] * total[0] + v_color[1] * total[1] + v_color[2] * total[2]
+        remaining = v_weight * alpha_sum + v_depth * depth_sums[index] + wp.dot(v_color, color_sums[index])
 
         transmittance = real(1.0)
         for i in range(tile_ranges[tile][0], tile_ranges[tile][1]):
@@ -151,6 +158,8 @@ def pixels_backward_kernel(real):
             weight = alpha * transmittance
             wp.atomic_add(v_splat_colors, s, weight * v_color)
             wp.atomic_add(v_splat_depths, s, weight * v_depth)
+            if halves_light(transmittance, behind):
+                wp.atomic_add(v_splat_depths, s, v_median_depth)
             gain = v_weight + wp.dot(v_color, colors[s]) + v_depth * depths[s]
             remaining -= weight * gain
             if opacities[s] * falloff <= real(ALPHA_MAX):  # the clamp has no gradient
@@ -162,6 +171,8 @@ def pixels_backward_kernel(real):
                 wp.atomic_add(v_conics, s, vec3(half * dx * dx, v_sigma * dx * dy, half * dy * dy))
                 v_offset = v_sigma * vec2(conic[0] * dx + conic[1] * dy, conic[1] * dx + conic[2] * dy)
                 wp.atomic_add(v_means2d, s, -v_offset)
+                if v_abs_means2d.shape[0] > 0:
+                    wp.atomic_add(v_abs_means2d, s, wp.abs(v_offset))
             transmittance = behind
 
     return pixels_backward
@@ -173,7 +184,8 @@ class PixelsState:
 
     intersections: Intersections
     alphas: wp.array  # [C * H * W]
-    sums: wp.array  # [C * H * W] vec4
+    color_sums: wp.array  # [C * H * W] vector of D channels
+    depth_sums: wp.array  # [C * H * W]
 
 
 def _narrow(array: wp.array) -> wp.array:
@@ -194,7 +206,7 @@ def composite_pixels(
     threads: int = 1,
 ) -> PixelsState:
     """Fill `image`."""
-    device = splats.depths.device
+    real, device = splats.depths.dtype, splats.depths.device
     intersections = intersect_tiles(
         _narrow(splats.means2d),
         radii,
@@ -203,35 +215,53 @@ def composite_pixels(
         width=frame.width,
         height=frame.height,
     )
-    sums = wp.empty(image.alphas.size, dtype=wp.types.vector(4, splats.depths.dtype), device=device)
+    color_sums = wp.empty(image.alphas.size, dtype=image.colors.dtype, device=device)
+    depth_sums = wp.empty(image.alphas.size, dtype=real, device=device)
     launch_range(
-        pixels_forward_kernel(splats.depths.dtype),
+        pixels_forward_kernel(real, splats.colors.dtype._length_),
         image.alphas.size,
-        inputs=[*_inputs(splats, intersections, frame)],
-        outputs=[image.colors, image.alphas, image.depths, sums],
+        inputs=[*_inputs(splats, intersections, frame), or_empty(frame.masks, wp.uint8, device)],
+        outputs=[
+            image.colors,
+            image.alphas,
+            image.depths,
+            or_empty(image.median_depths, real, device),
+            color_sums,
+            depth_sums,
+        ],
         device=device,
         threads=threads,
     )
-    return PixelsState(intersections, image.alphas, sums)
+    return PixelsState(intersections, image.alphas, color_sums, depth_sums)
 
 
 def composite_pixels_backward(
     splats: Splats, frame: Frame, state: PixelsState, v_image: Image, v_splats: Splats, *, threads: int = 1
 ) -> None:
     """Add to `v_splats`, which must be zero before. One thread, whatever `threads` says: see above."""
+    real, device = splats.depths.dtype, splats.depths.device
     launch_range(
-        pixels_backward_kernel(splats.depths.dtype),
+        pixels_backward_kernel(real, splats.colors.dtype._length_),
         v_image.alphas.size,
         inputs=[
             *_inputs(splats, state.intersections, frame),
             state.alphas,
-            state.sums,
+            state.color_sums,
+            state.depth_sums,
             v_image.colors,
             v_image.alphas,
             v_image.depths,
+            or_empty(v_image.median_depths, real, device),
         ],
-        outputs=[v_splats.means2d, v_splats.conics, v_splats.depths, v_splats.opacities, v_splats.colors],
-        device=splats.depths.device,
+        outputs=[
+            v_splats.means2d,
+            v_splats.conics,
+            v_splats.depths,
+            v_splats.opacities,
+            v_splats.colors,
+            or_empty(v_splats.abs_means2d, splats.means2d.dtype, device),
+        ],
+        device=device,
     )
 
 

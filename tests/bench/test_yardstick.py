@@ -13,9 +13,10 @@ def test_the_yardstick_does_the_same_work_as_the_product():
     results = []
     for function in (yardstick_render, lambda *operands, **options: rasterize(*operands, **options).colors):
         leaves = scene.leaves(torch.float32)
-        colors = function(*leaves.values(), scene.Ks.float(), scene.width, scene.height, sh_degree=3)
+        gaussians = [leaves[name] for name in ("means", "quats", "scales", "opacities", "colors", "viewmats")]
+        colors = function(*gaussians, scene.Ks.float(), scene.width, scene.height, sh_degree=3)
         colors.backward(v_colors)
-        results.append([colors.detach(), *(leaf.grad for leaf in leaves.values())])
+        results.append([colors.detach(), *(leaf.grad for leaf in gaussians)])
     for frozen, product in zip(*results, strict=True):
         # Both round at 6e-8; sums over pixels and the inverse of a thin covariance amplify that about 1000 times.
         assert (frozen - product).norm() <= 2e-4 * product.norm()

@@ -15,8 +15,8 @@ KERNELS = {
     "project_backward": project.project_backward_kernel(wp.float32),
     "shade_forward": shade.shade_forward_kernel(wp.float32),
     "shade_backward": shade.shade_backward_kernel(wp.float32),
-    "pixels_forward": pixels.pixels_forward_kernel(wp.float32),
-    "pixels_backward": pixels.pixels_backward_kernel(wp.float32),
+    "pixels_forward": pixels.pixels_forward_kernel(wp.float32, 3),
+    "pixels_backward": pixels.pixels_backward_kernel(wp.float32, 3),
     "sum_chunk": ordered_sum.sum_chunk_kernel(wp.vec3),
     "count_tiles": intersections.count_tiles,
 }
