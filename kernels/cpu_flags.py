@@ -1,4 +1,4 @@
-"""Compiler flags for a module whose CPU loops are vectorised."""
+"""Compiler options of a module whose CPU loops are vectorised."""
 
 import platform
 
@@ -12,3 +12,6 @@ def vector_flags() -> str:
     if platform.machine() in ("x86_64", "AMD64"):
         flags += " -mprefer-vector-width=512"
     return flags
+
+
+VECTOR_OPTIONS = {"enable_backward": False, "max_unroll": 0, "cpu_compiler_flags": vector_flags()}

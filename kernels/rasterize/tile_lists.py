@@ -6,18 +6,20 @@ ellipse where alpha >= ALPHA_MIN covers one of its pixel centres' rows and colum
 """
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import warp as wp
 
+from graphgs.kernels.cpu_flags import VECTOR_OPTIONS
 from graphgs.kernels.launch import launch_range
 from graphgs.kernels.rasterize.buffers import Frame, Splats
 from graphgs.kernels.rasterize.constants import TILE_SIZE
 from graphgs.kernels.rasterize.ellipse import Ellipse, alpha_ellipse, band_extent, cells_between
+from graphgs.kernels.rasterize.lanes import COLORS, DEPTH, ELLIPSE, LOG2_OPACITY, record_size
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 0})
+wp.set_module_options(VECTOR_OPTIONS)
 
-RECORD = wp.constant(16)  # floats per packed splat: one cache line
 _CHUNKS_PER_THREAD = 4
 
 
@@ -26,7 +28,7 @@ class TileLists:
     """Splats are named by rank: camera by camera, front to back."""
 
     splat_ids: wp.array  # [M] int: camera * N + Gaussian, by rank
-    records: wp.array  # [M * RECORD] float: what compositing reads of a splat
+    records: wp.array  # [M * record_size] float: what compositing reads of a splat
     ranks: wp.array  # [I] int, tile by tile, front to back
     slots: wp.array  # [I] int: the same intersections counted splat by splat, where a gradient is written
     tile_starts: wp.array  # [C * tiles + 1] int, into `ranks`
@@ -36,50 +38,58 @@ class TileLists:
 @wp.func
 def record_ellipse(records: wp.array[float], at: int):
     ellipse = Ellipse()
-    ellipse.slope = records[at + 10]
-    ellipse.height = records[at + 11]
-    ellipse.right_y = records[at + 12]
-    ellipse.flatness = records[at + 13]
-    ellipse.width = records[at + 14]
+    ellipse.slope = records[at + ELLIPSE]
+    ellipse.height = records[at + ELLIPSE + 1]
+    ellipse.right_y = records[at + ELLIPSE + 2]
+    ellipse.flatness = records[at + ELLIPSE + 3]
+    ellipse.width = records[at + ELLIPSE + 4]
     return ellipse
 
 
-@wp.kernel
-def pack_records(
-    first: int,
-    # Splats
-    splat_ids: wp.array[int],  # [M]
-    means2d: wp.array[wp.vec2],  # [C * N]
-    conics: wp.array[wp.vec3],
-    depths: wp.array[float],
-    opacities: wp.array[float],
-    colors: wp.array[wp.vec3],
-    # Out
-    records: wp.array[float],  # [M * RECORD]
-):
-    rank = first + wp.tid()
-    s = splat_ids[rank]
-    at = rank * RECORD
-    records[at] = means2d[s][0]
-    records[at + 1] = means2d[s][1]
-    for k in range(3):
-        records[at + 2 + k] = conics[s][k]
-        records[at + 6 + k] = colors[s][k]
-    records[at + 5] = opacities[s]
-    records[at + 9] = depths[s]
-    ellipse = alpha_ellipse(conics[s], opacities[s])
-    records[at + 10] = ellipse.slope
-    records[at + 11] = ellipse.height
-    records[at + 12] = ellipse.right_y
-    records[at + 13] = ellipse.flatness
-    records[at + 14] = ellipse.width
+@cache
+def pack_records_kernel(channels: int):
+    vec = wp.types.vector(channels, wp.float32)
+    size = record_size(channels)
+
+    @wp.kernel(enable_backward=False, module="unique", module_options=VECTOR_OPTIONS)
+    def pack_records(
+        first: int,
+        # Splats
+        splat_ids: wp.array[int],  # [M]
+        means2d: wp.array[wp.vec2],  # [C * N]
+        conics: wp.array[wp.vec3],
+        depths: wp.array[float],
+        opacities: wp.array[float],
+        colors: wp.array(dtype=vec),
+        # Out
+        records: wp.array[float],  # [M * size]
+    ):
+        rank = first + wp.tid()
+        s = splat_ids[rank]
+        at = rank * size
+        records[at] = means2d[s][0]
+        records[at + 1] = means2d[s][1]
+        for k in range(3):
+            records[at + 2 + k] = conics[s][k]
+        for k in range(channels):
+            records[at + COLORS + k] = colors[s][k]
+        records[at + LOG2_OPACITY] = wp.log2(opacities[s])
+        records[at + DEPTH] = depths[s]
+        ellipse = alpha_ellipse(conics[s], opacities[s])
+        records[at + ELLIPSE] = ellipse.slope
+        records[at + ELLIPSE + 1] = ellipse.height
+        records[at + ELLIPSE + 2] = ellipse.right_y
+        records[at + ELLIPSE + 3] = ellipse.flatness
+        records[at + ELLIPSE + 4] = ellipse.width
+
+    return pack_records
 
 
 @wp.func
 def tile_row_span(records: wp.array[float], at: int, rows: int):
     """First and last row of tiles that the ellipse meets; first > last where it meets none."""
     my = records[at + 1]
-    height = records[at + 11]
+    height = records[at + ELLIPSE + 1]
     return cells_between(my - height, my + height, float(TILE_SIZE), rows)
 
 
@@ -95,10 +105,11 @@ def tile_column_span(records: wp.array[float], at: int, row: int, columns: int):
 @wp.kernel
 def count_chunk(
     first: int,
-    records: wp.array[float],  # [M * RECORD]
+    records: wp.array[float],  # [M * record_size]
     splat_ids: wp.array[int],  # [M]
     splats: int,  # per camera
-    size: int,  # ranks of a chunk
+    record_size: int,  # floats
+    chunk_size: int,  # ranks
     rows: int,
     columns: int,
     # Out
@@ -106,8 +117,8 @@ def count_chunk(
     slot_counts: wp.array[int],  # [M] tiles of each splat
 ):
     chunk = first + wp.tid()
-    for rank in range(chunk * size, wp.min((chunk + 1) * size, splat_ids.shape[0])):
-        at = rank * RECORD
+    for rank in range(chunk * chunk_size, wp.min((chunk + 1) * chunk_size, splat_ids.shape[0])):
+        at = rank * record_size
         base = (splat_ids[rank] // splats) * rows * columns
         count = int(0)
         first_row, last_row = tile_row_span(records, at, rows)
@@ -123,11 +134,12 @@ def count_chunk(
 @wp.kernel
 def fill_chunk(
     first: int,
-    records: wp.array[float],  # [M * RECORD]
+    records: wp.array[float],  # [M * record_size]
     splat_ids: wp.array[int],  # [M]
     slot_starts: wp.array[int],  # [M + 1]
     splats: int,  # per camera
-    size: int,  # ranks of a chunk
+    record_size: int,  # floats
+    chunk_size: int,  # ranks
     rows: int,
     columns: int,
     # Out
@@ -136,8 +148,8 @@ def fill_chunk(
     slots: wp.array[int],  # [I]
 ):
     chunk = first + wp.tid()
-    for rank in range(chunk * size, wp.min((chunk + 1) * size, splat_ids.shape[0])):
-        at = rank * RECORD
+    for rank in range(chunk * chunk_size, wp.min((chunk + 1) * chunk_size, splat_ids.shape[0])):
+        at = rank * record_size
         base = (splat_ids[rank] // splats) * rows * columns
         slot = int(slot_starts[rank])
         first_row, last_row = tile_row_span(records, at, rows)
@@ -157,9 +169,11 @@ def list_tiles(splats: Splats, radii: wp.array, frame: Frame, *, threads: int = 
     rows, columns = -(-frame.height // size), -(-frame.width // size)
     order = _front_to_back(splats.depths.numpy(), radii.numpy(), frame.cameras)
     splat_ids = _view(order)
-    records = wp.empty(order.size * int(RECORD), dtype=float, device="cpu")
+    channels = splats.colors.dtype._length_
+    record = record_size(channels)
+    records = wp.empty(order.size * record, dtype=float, device="cpu")
     launch_range(
-        pack_records,
+        pack_records_kernel(channels),
         order.size,
         inputs=[splat_ids, splats.means2d, splats.conics, splats.depths, splats.opacities, splats.colors],
         outputs=[records],
@@ -177,7 +191,7 @@ def list_tiles(splats: Splats, radii: wp.array, frame: Frame, *, threads: int = 
     launch_range(
         count_chunk,
         chunks,
-        inputs=[records, splat_ids, per_camera, chunk, rows, columns],
+        inputs=[records, splat_ids, per_camera, record, chunk, rows, columns],
         outputs=[_view(tile_counts), _view(slot_counts)],
         device="cpu",
         threads=threads,
@@ -194,7 +208,7 @@ def list_tiles(splats: Splats, radii: wp.array, frame: Frame, *, threads: int = 
     launch_range(
         fill_chunk,
         chunks,
-        inputs=[records, splat_ids, _view(slot_starts), per_camera, chunk, rows, columns],
+        inputs=[records, splat_ids, _view(slot_starts), per_camera, record, chunk, rows, columns],
         outputs=[_view(cursors), ranks, slots],
         device="cpu",
         threads=threads,
