@@ -1,4 +1,4 @@
-"""Launch a Warp kernel on several CPU threads.
+"""Launch a Warp kernel on several CPU threads, or in blocks of GPU threads.
 
 One CPU launch runs on one thread but releases Python's lock, so two threads that launch two ranges work at once. A
 kernel that wants this takes `first: int` as its FIRST argument and computes its index as `first + wp.tid()`. Each index
@@ -74,6 +74,27 @@ def launch_range(
     for helper in helpers:
         if not helper.cancel():  # one that has not begun has nothing left to do: do not wait for it to wake up
             helper.result()
+
+
+def launch_blocks(
+    kernel: wp.Kernel,  # its `wp.tid()` is (block, thread)
+    blocks: int,
+    *,
+    inputs: Sequence,
+    outputs: Sequence = (),
+    device,
+    block_dim: int = 256,  # threads per block
+) -> None:
+    """Run `blocks` blocks of threads that share memory: the shape for a GPU.
+
+    On the CPU such a kernel runs for tests, when `wp.config.enable_cpu_blocks` is set. Raises RuntimeError where it is
+    not: Warp would run blocks of one thread, and return wrong numbers.
+    """
+    if wp.get_device(device).is_cpu and not wp.config.enable_cpu_blocks:
+        raise RuntimeError(f"{kernel.key}: a kernel of blocks runs on the CPU under wp.config.enable_cpu_blocks only")
+    wp.launch_tiled(
+        kernel, dim=[blocks], inputs=list(inputs), outputs=list(outputs), block_dim=block_dim, device=device
+    )
 
 
 def _pool(workers: int) -> ThreadPoolExecutor:

@@ -1,6 +1,6 @@
 """SSIM and L1, the plain shape: one thread per pixel and channel, a direct 11 x 11 window. Any float type, any device.
 
-float32 on the CPU runs `rows.py` instead; both call the maths of `window.py`.
+float32 runs `rows.py` on the CPU and `blocks.py` on CUDA instead; all call the maths of `window.py`.
 
 The adjoint: SSIM at p is a function S_p of the means mu_a, mu_b, mu_(a^2 + b^2), mu_ab in the window w around p, so the
 sum of kept_p S_p has, at pixel q, the derivative in a
