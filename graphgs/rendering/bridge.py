@@ -7,6 +7,9 @@ import torch
 import warp as wp
 from torch import Tensor
 
+from graphgs.kernels.rasterize.ordered_sum import ordered_sum
+from graphgs.threads import get_num_threads
+
 _REAL = {torch.float32: wp.float32, torch.float64: wp.float64}
 
 
@@ -34,12 +37,24 @@ def matrices(tensor: Tensor) -> wp.array:  # [C, 4, 4] contiguous -> [C] of mat4
     return wp.from_torch(tensor.detach(), dtype=wp.types.matrix(tuple(tensor.shape[-2:]), real_type(tensor)))
 
 
+def flags(tensor: Tensor) -> wp.array:  # [...] uint8, contiguous -> 1-D
+    return wp.from_torch(tensor.reshape(-1), dtype=wp.uint8)
+
+
 def zeros(shape: tuple[int, ...], like: Tensor) -> Tensor:
     """`like.new_zeros(shape)`, on one thread. On the CPU torch wakes its thread pool for anything large, and pool
     threads spin for milliseconds afterwards, on the cores that the next kernel wants."""
     if like.device.type != "cpu":
         return like.new_zeros(shape)
     return torch.from_numpy(np.zeros(shape, dtype=np.float64 if like.dtype == torch.float64 else np.float32))
+
+
+def sum_rows(
+    rows: Tensor,  # [C, M, D]
+) -> Tensor:  # [C, D]
+    """Sum over M in an order that does not depend on the number of threads, which torch's sum does not promise."""
+    with torch_stream(rows.device):
+        return wp.to_torch(ordered_sum(vectors(rows.contiguous(), axes=2), threads=get_num_threads())).squeeze(1)
 
 
 def torch_stream(device: torch.device) -> AbstractContextManager:

@@ -5,18 +5,21 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from graphgs.rendering.functions import Composite, Project, ProjectOptions, Shade, Shape
+from graphgs.rendering.checks import check_finite, check_masks, check_options, check_tensors
+from graphgs.rendering.composite import Composite, CompositeOptions, Shape
+from graphgs.rendering.functions import Project, ProjectOptions, Shade
 
 
 @dataclass(frozen=True)
 class RenderOutput:
     """What a render gives. All but `radii` are in the autograd graph."""
 
-    colors: Tensor  # [C, H, W, 3]
+    colors: Tensor  # [C, H, W, D]; D is 3 for spherical harmonics
     alphas: Tensor  # [C, H, W, 1] in 0..1
     depths: Tensor  # [C, H, W, 1] expected camera z: sum(w z) / sum(w), 0 where alpha is 0
     means2d: Tensor  # [C, N, 2] px; `means2d.retain_grad()` gives densification its statistic
     radii: Tensor  # [C, N, 2] int, px; 0 = not visible
+    median_depths: Tensor | None = None  # [C, H, W, 1] z of the Gaussian that halves the light; 0 where none does
 
 
 def rasterize(
@@ -24,7 +27,7 @@ def rasterize(
     quats: Tensor,  # [N, 4] wxyz, need not be unit
     scales: Tensor,  # [N, 3] standard deviations, world units
     opacities: Tensor,  # [N] in 0..1
-    colors: Tensor,  # [N, 3] RGB, or [N, K, 3] spherical harmonics when sh_degree is given
+    colors: Tensor,  # [N, D], D in 1 to 32; or [N, K, 3] spherical harmonics when sh_degree is given
     viewmats: Tensor,  # [C, 4, 4] world-to-camera
     Ks: Tensor,  # [C, 3, 3] px, no skew
     width: int,  # [px]
@@ -35,7 +38,11 @@ def rasterize(
     far: float = 1e10,
     eps2d: float = 0.3,  # [px^2] added to the 2D covariance's diagonal
     antialiased: bool = False,  # scale opacities to undo the brightening by eps2d
-    backgrounds: Tensor | None = None,  # [C, 3]; None is black
+    backgrounds: Tensor | None = None,  # [C, D]; None is black
+    masks: Tensor | None = None,  # [C, H, W] bool; where False, a pixel sees no Gaussian and passes no gradient
+    median_depth: bool = False,  # also render the depth at which half of the light is gone
+    absgrad: bool = False,  # the backward pass leaves `means2d.absgrad` [C, N, 2]: the sum of |gradient| over pixels
+    validate: bool = True,  # look for NaN and infinite values; on the CPU alone, as a GPU would have to wait
     shape: Shape | None = None,  # kernel shape; None chooses by device and dtype. For tests and benchmarks
 ) -> RenderOutput:
     """Render N Gaussians into C pinhole cameras, front to back (3DGS, Kerbl et al. 2023; semantics of gsplat).
@@ -43,21 +50,36 @@ def rasterize(
     alpha = min(0.99, opacity exp(-sigma)); a contribution below 1/255 is skipped, and a pixel stops before its
     transmittance falls to 1e-4. Gaussians of equal depth are drawn in the order of their index.
 
-    Differentiable in means, quats, scales, opacities, colors, viewmats and backgrounds; not in Ks. float32 or
-    float64 (all alike). On the CPU the result is the same, bit for bit, for any number of threads. Raises ValueError.
+    Differentiable in means, quats, scales, opacities, colors, viewmats, Ks (its four numbers) and backgrounds; a median
+    depth moves with its Gaussian's depth alone. float32 or float64 (all alike). On the CPU the result is the same,
+    bit for bit, for any number of threads. Raises ValueError.
     """
-    if backgrounds is None:
-        backgrounds = means.new_zeros(viewmats.shape[0], 3)
-    _check(means, quats, scales, opacities, colors, viewmats, Ks, backgrounds, sh_degree)
-    _check_options(width, height, near, far, eps2d)
+    check_tensors(means, quats, scales, opacities, colors, viewmats, Ks, backgrounds, sh_degree=sh_degree)
+    check_options(width, height, near, far, eps2d)
+    check_masks(masks, (viewmats.shape[0], height, width), means.device)
+    if validate and means.device.type == "cpu":
+        check_finite(
+            means=means,
+            quats=quats,
+            scales=scales,
+            opacities=opacities,
+            colors=colors,
+            viewmats=viewmats,
+            Ks=Ks,
+            backgrounds=backgrounds,
+        )
     shape = _choose_shape(means, shape)
 
-    viewmats = viewmats.contiguous()
-    pinholes = torch.stack([Ks[:, 0, 0], Ks[:, 1, 1], Ks[:, 0, 2], Ks[:, 1, 2]], dim=-1).detach()
-    options = ProjectOptions(width, height, near, far, eps2d, antialiased)
-    means = means.contiguous()
+    means, viewmats = means.contiguous(), viewmats.contiguous()
+    pinholes = torch.stack([Ks[:, 0, 0], Ks[:, 1, 1], Ks[:, 0, 2], Ks[:, 1, 2]], dim=-1)
     means2d, conics, depths, splat_opacities, radii = Project.apply(
-        means, quats.contiguous(), scales.contiguous(), opacities.contiguous(), viewmats, pinholes, options
+        means,
+        quats.contiguous(),
+        scales.contiguous(),
+        opacities.contiguous(),
+        viewmats,
+        pinholes,
+        ProjectOptions(width, height, near, far, eps2d, antialiased),
     )
     if sh_degree is None:
         splat_colors = colors.expand(viewmats.shape[0], -1, -1).contiguous()
@@ -65,69 +87,37 @@ def rasterize(
         # The centre of a camera whose rotation is orthonormal: -R^T t.
         centers = -(viewmats[:, :3, :3] * viewmats[:, :3, 3:]).sum(dim=1)
         splat_colors = Shade.apply(means, colors.contiguous(), centers, radii, sh_degree)
-    rendered = Composite.apply(
-        means2d, conics, depths, splat_opacities, splat_colors, backgrounds.contiguous(), radii, width, height, shape
+    if backgrounds is None:
+        backgrounds = means.new_zeros(viewmats.shape[0], splat_colors.shape[-1])
+    rendered_colors, alphas, render_depths, median_depths = Composite.apply(
+        means2d,
+        conics,
+        depths,
+        splat_opacities,
+        splat_colors,
+        backgrounds.contiguous(),
+        radii,
+        None if masks is None else masks.contiguous().view(torch.uint8),
+        CompositeOptions(width, height, median_depth, absgrad, shape),
     )
-    return RenderOutput(*rendered, means2d=means2d, radii=radii)
+    return RenderOutput(
+        colors=rendered_colors,
+        alphas=alphas,
+        depths=render_depths,
+        means2d=means2d,
+        radii=radii,
+        median_depths=median_depths if median_depth else None,
+    )
 
 
 def _choose_shape(means: Tensor, shape: Shape | None) -> Shape:
+    on_cpu, single = means.device.type == "cpu", means.dtype == torch.float32
     if shape is None:
-        return "tiles" if means.device.type == "cpu" and means.dtype == torch.float32 else "pixels"
-    if shape == "tiles" and (means.device.type != "cpu" or means.dtype != torch.float32):
+        return ("tiles" if on_cpu else "gpu") if single else "pixels"
+    if shape not in ("pixels", "tiles", "gpu"):
+        raise ValueError(f"shape: expected 'pixels', 'tiles', 'gpu' or None, got {shape!r}")
+    if shape == "tiles" and not (on_cpu and single):
         raise ValueError(f"shape: 'tiles' expects float32 on the CPU, got {means.dtype} on {means.device}")
+    if shape == "gpu" and not single:
+        raise ValueError(f"shape: 'gpu' expects float32, got {means.dtype}")
     return shape
-
-
-def _check(
-    means: Tensor,
-    quats: Tensor,
-    scales: Tensor,
-    opacities: Tensor,
-    colors: Tensor,
-    viewmats: Tensor,
-    Ks: Tensor,
-    backgrounds: Tensor,
-    sh_degree: int | None,
-) -> None:
-    if means.dtype not in (torch.float32, torch.float64):
-        raise ValueError(f"means: expected float32 or float64, got {means.dtype}")
-    n = means.shape[0] if means.dim() else 0
-    c = viewmats.shape[0] if viewmats.dim() else 0
-    expected = {
-        "means": (means, (n, 3)),
-        "quats": (quats, (n, 4)),
-        "scales": (scales, (n, 3)),
-        "opacities": (opacities, (n,)),
-        "viewmats": (viewmats, (c, 4, 4)),
-        "Ks": (Ks, (c, 3, 3)),
-        "backgrounds": (backgrounds, (c, 3)),
-    }
-    if sh_degree is None:
-        expected["colors"] = (colors, (n, 3))
-    else:
-        if sh_degree not in (0, 1, 2, 3):
-            raise ValueError(f"sh_degree: expected 0, 1, 2, 3 or None, got {sh_degree}")
-        k = colors.shape[1] if colors.dim() == 3 else 0
-        if k < (sh_degree + 1) ** 2:
-            wanted = f"[{n}, K, 3] with K >= {(sh_degree + 1) ** 2} for sh_degree={sh_degree}"
-            raise ValueError(f"colors: expected {wanted}, got {list(colors.shape)}")
-        expected["colors"] = (colors, (n, k, 3))
-    for name, (tensor, size) in expected.items():
-        if tuple(tensor.shape) != size:
-            raise ValueError(f"{name}: expected {list(size)}, got {list(tensor.shape)}")
-        if tensor.dtype != means.dtype:
-            raise ValueError(f"{name}: expected {means.dtype} as means, got {tensor.dtype}")
-        if tensor.device != means.device:
-            raise ValueError(f"{name}: expected device {means.device} as means, got {tensor.device}")
-    if c < 1:
-        raise ValueError("viewmats: expected at least one camera, got none")
-
-
-def _check_options(width: int, height: int, near: float, far: float, eps2d: float) -> None:
-    if width < 1 or height < 1:
-        raise ValueError(f"width and height: expected at least 1, got {width} x {height}")
-    if not 0 < near < far:
-        raise ValueError(f"near and far: expected 0 < near < far, got {near} and {far}")
-    if eps2d < 0:
-        raise ValueError(f"eps2d: expected at least 0, got {eps2d}")

@@ -4,8 +4,8 @@ A tile of 16 x 16 pixels holds 16 blocks of 4 x 4; the pixels of a block are the
 register, two of AVX2, four of NEON. Clang splits the type as the machine needs. The same loops in plain Warp are
 correct, but whether LLVM vectorises them changes with the code around.
 
-Splats of a tile are taken in batches of BATCH. A batch is turned round: each block gets the list of the splats that meet
-it, as bits of one number, and walks that list with its pixels in registers.
+Splats of a tile are taken in batches of BATCH. A batch is turned round: each block gets the list of the splats that
+meet it, as bits of one number, and walks that list with its pixels in registers.
 
 The formulas are those of `pixels.py`; the tests hold the shapes together.
 """

@@ -169,7 +169,7 @@ def project(
 
 @cache
 def project_backward_kernel(real):
-    vec2, vec3, vec4, vec12 = (wp.types.vector(length, real) for length in (2, 3, 4, 12))
+    vec2, vec3, vec4, vec16 = (wp.types.vector(length, real) for length in (2, 3, 4, 16))
     mat44 = wp.types.matrix((4, 4), real)
 
     @wp.kernel(enable_backward=False, module="unique")
@@ -198,7 +198,7 @@ def project_backward_kernel(real):
         v_quats: wp.array(dtype=vec4),  # [N]
         v_scales: wp.array(dtype=vec3),  # [N]
         v_opacities: wp.array(dtype=real),  # [N]
-        v_poses: wp.array(dtype=vec12),  # [C * N] each Gaussian's share: rotation by rows, translation; or empty
+        v_cameras: wp.array(dtype=vec16),  # [C * N] by rotation (rows), translation, pinhole: its share; or empty
     ):
         g = first + wp.tid()
         v_mean_sum = vec3()
@@ -207,7 +207,7 @@ def project_backward_kernel(real):
         v_opacity_sum = real(0.0)
         for c in range(viewmats.shape[0]):
             at = c * means.shape[0] + g
-            v_pose = vec12()
+            v_camera = vec16()
             if radii[at][0] > 0:
                 pinhole = pinholes[c]
                 limits = jacobian_limits(pinhole, width, height)
@@ -221,8 +221,8 @@ def project_backward_kernel(real):
                     v_scale,
                     v_rotation,
                     v_translation,
-                    _pinhole,
-                    _limits,
+                    v_pinhole,
+                    v_limits,
                     _eps2d,
                     _v_mean2d,
                     _v_conic,
@@ -248,12 +248,18 @@ def project_backward_kernel(real):
                 v_quat_sum += v_quat
                 v_scale_sum += v_scale
                 v_opacity_sum += v_opacity
-                for row in range(3):
-                    for column in range(3):
-                        v_pose[3 * row + column] = v_rotation[row, column]
-                    v_pose[9 + row] = v_translation[row]
-            if v_poses.shape[0] > 0:
-                v_poses[at] = v_pose
+                if v_cameras.shape[0] > 0:
+                    for row in range(3):
+                        for column in range(3):
+                            v_camera[3 * row + column] = v_rotation[row, column]
+                        v_camera[9 + row] = v_translation[row]
+                    for axis in range(2):  # the limits are (offset - c) / f
+                        low, high = v_limits[2 * axis], v_limits[2 * axis + 1]
+                        pull = low * limits[2 * axis] + high * limits[2 * axis + 1]
+                        v_camera[12 + axis] = v_pinhole[axis] - pull / pinhole[axis]
+                        v_camera[14 + axis] = v_pinhole[2 + axis] - (low + high) / pinhole[axis]
+            if v_cameras.shape[0] > 0:
+                v_cameras[at] = v_camera
         v_means[g] = v_mean_sum
         v_quats[g] = v_quat_sum
         v_scales[g] = v_scale_sum
@@ -268,7 +274,7 @@ def project_backward(
     radii: wp.array,  # [C * N] vec2i
     v_splats: Splats,
     v_gaussians: Gaussians,  # filled
-    v_poses: wp.array,  # [C * N] vec12, filled; or empty
+    v_cameras: wp.array,  # [C * N] vec16, filled; or empty
     *,
     eps2d: float,
     antialiased: bool,
@@ -294,7 +300,7 @@ def project_backward(
             v_splats.depths,
             v_splats.opacities,
         ],
-        outputs=[v_gaussians.means, v_gaussians.quats, v_gaussians.scales, v_gaussians.opacities, v_poses],
+        outputs=[v_gaussians.means, v_gaussians.quats, v_gaussians.scales, v_gaussians.opacities, v_cameras],
         device=gaussians.means.device,
         threads=threads,
         min_chunk=1024,

@@ -18,26 +18,30 @@ def row_size(channels: int, absolute: bool) -> int:
     return MOMENTS + channels + 1 + 2 * int(absolute)
 
 
-_FOLD = """
-    // The sums over lanes of 16 vectors, as one vector: halves are added four times, two vectors becoming one each time
-    auto sum_lanes = [](lanes* v) -> lanes {
-        for (int k = 0; k < 8; ++k)
-            v[k] = __builtin_shufflevector(v[2 * k], v[2 * k + 1], 0, 1, 2, 3, 4, 5, 6, 7, 16, 17, 18, 19, 20, 21, 22, 23)
-                 + __builtin_shufflevector(v[2 * k], v[2 * k + 1], 8, 9, 10, 11, 12, 13, 14, 15, 24, 25, 26, 27, 28, 29, 30, 31);
-        for (int k = 0; k < 4; ++k)
-            v[k] = __builtin_shufflevector(v[2 * k], v[2 * k + 1], 0, 1, 2, 3, 8, 9, 10, 11, 16, 17, 18, 19, 24, 25, 26, 27)
-                 + __builtin_shufflevector(v[2 * k], v[2 * k + 1], 4, 5, 6, 7, 12, 13, 14, 15, 20, 21, 22, 23, 28, 29, 30, 31);
-        for (int k = 0; k < 2; ++k)
-            v[k] = __builtin_shufflevector(v[2 * k], v[2 * k + 1], 0, 1, 4, 5, 8, 9, 12, 13, 16, 17, 20, 21, 24, 25, 28, 29)
-                 + __builtin_shufflevector(v[2 * k], v[2 * k + 1], 2, 3, 6, 7, 10, 11, 14, 15, 18, 19, 22, 23, 26, 27, 30, 31);
-        return __builtin_shufflevector(v[0], v[1], 0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30)
-             + __builtin_shufflevector(v[0], v[1], 1, 3, 5, 7, 9, 11, 13, 15, 17, 19, 21, 23, 25, 27, 29, 31);
-    };
+def _fold(results: int, group: int) -> str:
+    """Two vectors in groups of lanes become one: the halves of each group are added."""
+    lower = ", ".join(str(lane) for lane in range(32) if lane % group < group // 2)
+    upper = ", ".join(str(lane) for lane in range(32) if lane % group >= group // 2)
+    pair = "v[2 * k], v[2 * k + 1]"
+    halves = [f"__builtin_shufflevector({pair}, {lanes})" for lanes in (lower, upper)]
+    return f"for (int k = 0; k < {results}; ++k) v[k] = {' + '.join(halves)};"
+
+
+# The sums over lanes of 16 vectors, as the lanes of one
+_SUM_LANES = f"""
+    auto sum_lanes = [](lanes* v) -> lanes {{
+        {_fold(8, 16)}
+        {_fold(4, 8)}
+        {_fold(2, 4)}
+        {_fold(1, 2)}
+        return v[0];
+    }};
 """
 
 _UNBLEND = """
     // Of a block: cotangents of the sums of w * colour, w * depth and w; light; the loss still behind; of median depth
-    constexpr int v_depth_at = channels, v_weight_at = channels + 1, light_at = channels + 2, remaining_at = channels + 3;
+    constexpr int v_depth_at = channels, v_weight_at = channels + 1;
+    constexpr int light_at = channels + 2, remaining_at = channels + 3;
     constexpr int planes = channels + 4 + median;
     constexpr int sums = 6 + channels + 1 + 2 * absolute, groups = (sums + 15) / 16;
     const float x = left + 0.5f, y = top + 0.5f;
@@ -177,7 +181,7 @@ def unblend_tile_kernel(channels: int, median: bool, absolute: bool):
     vec = wp.types.vector(channels, wp.float32)
     flags = f"constexpr int median = {int(median)}, absolute = {int(absolute)};"
 
-    @wp.func_native(lanes(channels) + flags + _INVERSE + _FOLD + _UNBLEND)
+    @wp.func_native(lanes(channels) + flags + _INVERSE + _SUM_LANES + _UNBLEND)
     def unblend(
         records: wp.array[float],
         ranks: wp.array[int],

@@ -173,7 +173,9 @@ def blend_tile_kernel(channels: int, median: bool):
         render_alphas: wp.array[float],
         render_depths: wp.array[float],
         render_medians: wp.array[float],  # or empty
-        taken: wp.array[wp.uint32],  # [batches * BLOCKS] a bit for each splat of the batch that a pixel of the block took
+        taken: wp.array[
+            wp.uint32
+        ],  # [batches * BLOCKS] a bit for each splat of the batch that a pixel of the block took
         tile_stops: wp.array[int],  # [C * tiles] past the last splat that was looked at
     ):
         tile = first + wp.tid()
