@@ -1,59 +1,25 @@
-"""Reproject the pixels of image i into image j and compare colours: one thread per pixel, on every device.
+"""Reproject the pixels of image i into image j and compare colours: one thread per pixel.
 
-The derivatives in colour and depth of image i come out of the same pass; image j and the cameras have none.
+The derivatives in colour and depth of image i come out of the same pass; image j and the cameras have none. Colours are
+compared in float32 on CUDA by `blocks.py`, which adds up the pixels of a block before they leave it.
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import warp as wp
 
-from graphgs.kernels.launch import launch_range
+from graphgs.kernels.launch import launch_blocks, launch_range
 from graphgs.kernels.reduce import sum_rows, total
-from graphgs.kernels.reproject.geometry import land, lands_inside, seen_depth, seen_value
+from graphgs.kernels.reproject.blocks import THREADS, compare_reprojected_blocks
+from graphgs.kernels.reproject.matching import compare_pixel, match_pixel
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 0})
+wp.set_module_options({"enable_backward": False})
 
-ROBUST_EPS = wp.constant(1e-3)  # [intensity] below it the robust L1 turns quadratic (Charbonnier)
+Shape = Literal["pixels", "blocks"]
+
+BLOCKS_PER_ROW = 64  # whose sums one thread adds up, before another adds up the rows
 MIN_PIXELS = 4096  # fewer are not worth a launch of their own
-
-
-@wp.func
-def match_pixel(
-    index: int,  # of the pixel among all pairs
-    # Image i
-    depth_i: wp.array[Any],
-    alpha_i: wp.array[Any],
-    height_i: int,
-    width_i: int,
-    # Image j
-    depth_j: wp.array[Any],
-    height_j: int,
-    width_j: int,
-    # Cameras and thresholds
-    pixel_map: wp.array[Any],
-    unit_depth: int,
-    min_alpha: Any,
-    depth_tolerance: Any,
-):
-    """Whether the pixel has a match, then what `land` returns."""
-    x = type(min_alpha)(index % width_i) + type(min_alpha)(0.5)
-    y = type(min_alpha)((index / width_i) % height_i) + type(min_alpha)(0.5)
-    pair = index / (width_i * height_i)
-    zero = type(min_alpha)(0.0)
-    depth = type(min_alpha)(1.0)
-    valid = True
-    if unit_depth == 0:
-        depth = depth_i[index]
-        valid = depth > zero and alpha_i[index] >= min_alpha
-    qx, qy, z, d_qx, d_qy = land(pixel_map, pair, x, y, depth)
-    valid = valid and z > zero and lands_inside(qx, qy, height_j, width_j)
-    if valid and unit_depth == 0:
-        # Forward-backward check: the point that camera j sees at q lies at depth `seen` on the ray of ours at depth z,
-        # so |seen - z| / z is the distance between the two, in units of the distance from the camera: free of scale.
-        seen = seen_depth(depth_j, pair, qx, qy, height_j, width_j)
-        valid = seen > zero and wp.abs(seen - z) <= depth_tolerance * z
-    return valid, qx, qy, z, d_qx, d_qy
 
 
 @wp.kernel
@@ -78,19 +44,8 @@ def reproject_pixels(
     matched: wp.array[Any],  # [C Hi Wi] 1 or 0
 ):
     index = first + wp.tid()
-    valid, qx, qy, z, _d_qx, _d_qy = match_pixel(
-        index,
-        depth_i,
-        alpha_i,
-        height_i,
-        width_i,
-        depth_j,
-        height_j,
-        width_j,
-        pixel_map,
-        unit_depth,
-        limits[0],
-        limits[1],
+    valid, qx, qy, z, _d_qx, _d_qy, _pair = match_pixel(
+        index, depth_i, alpha_i, height_i, width_i, depth_j, height_j, width_j, pixel_map, unit_depth, limits
     )
     coords[2 * index] = qx
     coords[2 * index + 1] = qy
@@ -124,7 +79,7 @@ def compare_reprojected(
     slopes_depth: wp.array[Any],  # [C Hi Wi] and in its depth
 ):
     index = first + wp.tid()
-    valid, qx, qy, _z, d_qx, d_qy = match_pixel(
+    residual, match = compare_pixel(
         index,
         depth_i,
         alpha_i,
@@ -135,32 +90,14 @@ def compare_reprojected(
         width_j,
         pixel_map,
         unit_depth,
-        limits[0],
-        limits[1],
+        limits,
+        image_i,
+        image_j,
+        slopes_image,
+        slopes_depth,
     )
-    zero = image_i.dtype(0.0)
-    one = image_i.dtype(1.0)
-    eps = image_i.dtype(ROBUST_EPS)
-    pair = index / (width_i * height_i)
-    residual = image_i.dtype(0.0)
-    slope_depth = image_i.dtype(0.0)
-    for channel in range(3):
-        slope = image_i.dtype(0.0)
-        if valid:
-            seen, d_x, d_y = seen_value(image_j, pair, qx, qy, channel, height_j, width_j)
-            error = image_i[3 * index + channel] - seen
-            if unit_depth == 1:  # as printed: plain L1
-                residual += wp.abs(error)
-                slope = wp.where(error > zero, one, wp.where(error < zero, -one, zero))
-            else:
-                root = wp.sqrt(error * error + eps * eps)
-                residual += error * error / (root + eps)  # = root - eps, without cancellation
-                slope = error / root
-                slope_depth -= slope * (d_x * d_qx + d_y * d_qy)
-        slopes_image[3 * index + channel] = slope
     residuals[index] = residual
-    slopes_depth[index] = slope_depth
-    matched[index] = wp.where(valid, one, zero)
+    matched[index] = match
 
 
 for _real in (wp.float32, wp.float64):
@@ -182,6 +119,10 @@ class DepthPair:
     pixel_map: wp.array  # [C 12], see geometry.py
     unit_depth: bool
     limits: wp.array  # [2] least alpha, depth tolerance
+
+    @property
+    def shape(self) -> Shape:
+        return "blocks" if self.depth_i.device.is_cuda and self.depth_i.dtype == wp.float32 else "pixels"
 
     def _inputs(self) -> list:
         return [
@@ -219,14 +160,21 @@ def compare_views(
     sums: wp.array,  # out, [2] float64: residuals over all channels, matched pixels
     *,
     threads: int = 1,
+    shape: Shape | None = None,  # default: blocks in float32 on CUDA
 ) -> None:
+    compare = _compare_blocks if (shape or depths.shape) == "blocks" else _compare_pixels
+    inputs = [*depths._inputs(), image_i, image_j]
+    total(compare(depths, inputs, [slopes_image, slopes_depth], threads), sums)
+
+
+def _compare_pixels(depths: DepthPair, inputs: list, slopes: list, threads: int) -> wp.array:  # [2 C Hi] sums by row
     values = [wp.empty_like(depths.depth_i) for _ in range(2)]  # residuals, matched
     device = depths.depth_i.device
     launch_range(
         compare_reprojected,
         depths.depth_i.shape[0],
-        inputs=[*depths._inputs(), image_i, image_j],
-        outputs=[*values, slopes_image, slopes_depth],
+        inputs=inputs,
+        outputs=[*values, *slopes],
         device=device,
         threads=threads,
         min_chunk=MIN_PIXELS,
@@ -236,4 +184,21 @@ def compare_views(
     row_sums = wp.empty(2 * rows, dtype=wp.float64, device=device)
     for column, value in enumerate(values):
         sum_rows(value, row_sums[column * rows : (column + 1) * rows], width=width, threads=threads)
-    total(row_sums, sums)
+    return row_sums
+
+
+def _compare_blocks(depths: DepthPair, inputs: list, slopes: list, threads: int) -> wp.array:  # [2 rows of blocks]
+    device = depths.depth_i.device
+    rows = -(-depths.depth_i.shape[0] // (THREADS * BLOCKS_PER_ROW))  # the last may hold blocks without pixels
+    block_sums = wp.empty(2 * rows * BLOCKS_PER_ROW, dtype=wp.float64, device=device)
+    launch_blocks(
+        compare_reprojected_blocks,
+        rows * BLOCKS_PER_ROW,
+        inputs=inputs,
+        outputs=[*slopes, block_sums],
+        device=device,
+        block_dim=THREADS,
+    )
+    row_sums = wp.empty(2 * rows, dtype=wp.float64, device=device)
+    sum_rows(block_sums, row_sums, width=BLOCKS_PER_ROW, threads=threads)
+    return row_sums
