@@ -59,7 +59,7 @@ def project_gaussian(
     pinhole: Any,  # fx, fy, cx, cy [px]
     limits: Any,  # from `jacobian_limits`
 ):
-    """Mean [px], covariance (xx, xy, yy) [px^2] and depth of the projected Gaussian.
+    """Mean [px], covariance (xx, xy, yy [px^2], and its determinant [px^4]) and depth of the projected Gaussian.
 
     The projection is linearised where the mean is, but no further out than `limits`: far outside the image the Jacobian
     grows without bound (3DGS clamps to 1.3 fields of view). The clamp moves the Jacobian only, not the mean.
@@ -78,31 +78,28 @@ def project_gaussian(
     a = root * row_x
     b = root * row_y
     mean2d = wp.vector(fx * p[0] / z + pinhole[2], fy * p[1] / z + pinhole[3])
-    return mean2d, wp.vector(wp.dot(a, a), wp.dot(a, b), wp.dot(b, b)), z
-
-
-@wp.func
-def determinant2(covariance: Any):
-    return covariance[0] * covariance[2] - covariance[1] * covariance[1]
+    # The determinant as a sum of squares (Cauchy-Binet): of a needle, xx yy - xy^2 would leave rounding alone.
+    normal = wp.cross(a, b)
+    return mean2d, wp.vector(wp.dot(a, a), wp.dot(a, b), wp.dot(b, b), wp.dot(normal, normal)), z
 
 
 @wp.func
 def blur(covariance: Any, eps2d: Any):
     """The covariance with eps2d [px^2] added to its diagonal: no Gaussian falls between pixel centres."""
-    return wp.vector(covariance[0] + eps2d, covariance[1], covariance[2] + eps2d)
+    determinant = covariance[3] + eps2d * (covariance[0] + covariance[2] + eps2d)
+    return wp.vector(covariance[0] + eps2d, covariance[1], covariance[2] + eps2d, determinant)
 
 
 @wp.func
 def conic_from_covariance(covariance: Any):
     """Upper triangle of the inverse [px^-2]."""
-    det = determinant2(covariance)
-    return wp.vector(covariance[2] / det, -covariance[1] / det, covariance[0] / det)
+    return wp.vector(covariance[2], -covariance[1], covariance[0]) / covariance[3]
 
 
 @wp.func
 def blur_compensation(covariance: Any, blurred: Any):
     """Factor on the opacity that undoes the brightening by `blur` (Mip-Splatting, Yu et al. 2024, Eq. 9)."""
-    ratio = determinant2(covariance) / determinant2(blurred)
+    ratio = covariance[3] / blurred[3]
     result = covariance.dtype(0.0)
     if ratio > covariance.dtype(0.0):  # the square root has no gradient at 0
         result = wp.sqrt(ratio)

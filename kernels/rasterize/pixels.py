@@ -54,7 +54,6 @@ def pixels_forward_kernel(real, channels: int):
         render_depths: wp.array(dtype=real),
         median_depths: wp.array(dtype=real),  # or empty
         color_sums: wp.array(dtype=vecD),  # sum of w * color, without background
-        depth_sums: wp.array(dtype=real),  # sum of w * depth
     ):
         index = first + wp.tid()
         c, tile, px, py = find_pixel(index, width, height)
@@ -64,6 +63,7 @@ def pixels_forward_kernel(real, channels: int):
         depth = real(0.0)
         median_depth = real(0.0)
         transmittance = real(1.0)
+        weight_sum = real(0.0)  # 1 - transmittance, without the rounding of 1, which a faint pixel's depth would show
         for i in range(tile_ranges[tile][0], last):
             s = splat_ids[i]
             alpha = wp.min(real(ALPHA_MAX), opacities[s] * falloff_at(pixel - means2d[s], conics[s]))
@@ -75,17 +75,17 @@ def pixels_forward_kernel(real, channels: int):
             weight = alpha * transmittance
             color += weight * colors[s]
             depth += weight * depths[s]
+            weight_sum += weight
             if halves_light(transmittance, behind):
                 median_depth = depths[s]
             transmittance = behind
         alpha_sum = real(1.0) - transmittance
         render_colors[index] = color + transmittance * backgrounds[c]
         render_alphas[index] = alpha_sum
-        render_depths[index] = wp.where(alpha_sum > real(0.0), depth / alpha_sum, real(0.0))
+        render_depths[index] = wp.where(weight_sum > real(0.0), depth / weight_sum, real(0.0))
         if median_depths.shape[0] > 0:
             median_depths[index] = median_depth
         color_sums[index] = color
-        depth_sums[index] = depth
 
     return pixels_forward
 
@@ -112,8 +112,8 @@ def pixels_backward_kernel(real, channels: int):
         backgrounds: wp.array(dtype=vecD),  # [C]
         # Rendered, and cotangents, [C * H * W]
         render_alphas: wp.array(dtype=real),
+        render_depths: wp.array(dtype=real),
         color_sums: wp.array(dtype=vecD),
-        depth_sums: wp.array(dtype=real),
         v_colors: wp.array(dtype=vecD),
         v_alphas: wp.array(dtype=real),
         v_depths: wp.array(dtype=real),
@@ -136,12 +136,14 @@ def pixels_backward_kernel(real, channels: int):
         # Cotangents of the plain sums over w: colour, depth, and w itself.
         v_color = v_colors[index]
         v_depth = v_depths[index] / alpha_sum
-        v_weight = v_alphas[index] - wp.dot(v_color, backgrounds[c]) - v_depth * depth_sums[index] / alpha_sum
+        v_light = v_alphas[index] - wp.dot(v_color, backgrounds[c])
+        v_weight = v_light - v_depth * render_depths[index]
         v_median_depth = real(0.0)
         if v_median_depths.shape[0] > 0:
             v_median_depth = v_median_depths[index]
-        # The part of the loss that still lies behind: sum over the remaining Gaussians of w * dL/dw.
-        remaining = v_weight * alpha_sum + v_depth * depth_sums[index] + wp.dot(v_color, color_sums[index])
+        # The part of the loss that still lies behind: sum over the remaining Gaussians of w * dL/dw. The depth, an
+        # average, has no part in it at the start.
+        remaining = v_light * alpha_sum + wp.dot(v_color, color_sums[index])
 
         transmittance = real(1.0)
         for i in range(tile_ranges[tile][0], tile_ranges[tile][1]):
@@ -184,8 +186,8 @@ class PixelsState:
 
     intersections: Intersections
     alphas: wp.array  # [C * H * W]
+    depths: wp.array  # [C * H * W]
     color_sums: wp.array  # [C * H * W] vector of D channels
-    depth_sums: wp.array  # [C * H * W]
 
 
 def _narrow(array: wp.array) -> wp.array:
@@ -216,7 +218,6 @@ def composite_pixels(
         height=frame.height,
     )
     color_sums = wp.empty(image.alphas.size, dtype=image.colors.dtype, device=device)
-    depth_sums = wp.empty(image.alphas.size, dtype=real, device=device)
     launch_range(
         pixels_forward_kernel(real, splats.colors.dtype._length_),
         image.alphas.size,
@@ -227,12 +228,11 @@ def composite_pixels(
             image.depths,
             or_empty(image.median_depths, real, device),
             color_sums,
-            depth_sums,
         ],
         device=device,
         threads=threads,
     )
-    return PixelsState(intersections, image.alphas, color_sums, depth_sums)
+    return PixelsState(intersections, image.alphas, image.depths, color_sums)
 
 
 def composite_pixels_backward(
@@ -246,8 +246,8 @@ def composite_pixels_backward(
         inputs=[
             *_inputs(splats, state.intersections, frame),
             state.alphas,
+            state.depths,
             state.color_sums,
-            state.depth_sums,
             v_image.colors,
             v_image.alphas,
             v_image.depths,

@@ -10,7 +10,6 @@ from graphgs.kernels.gaussian import (
     blur,
     blur_compensation,
     conic_from_covariance,
-    determinant2,
     jacobian_limits,
     project_gaussian,
     split_viewmat,
@@ -113,7 +112,7 @@ def project_forward_kernel(real):
                 opacity = opacities[g]
                 if antialiased:
                     opacity *= blur_compensation(covariance, blurred)
-                if determinant2(blurred) > real(0.0) and opacity >= real(ALPHA_MIN):
+                if blurred[3] > real(0.0) and opacity >= real(ALPHA_MIN):
                     # Where alpha falls to ALPHA_MIN, which is tighter than three standard deviations for a faint one.
                     reach = wp.min(real(MAX_SIGMA), wp.sqrt(real(2.0) * wp.log(opacity / real(ALPHA_MIN))))
                     radius_x = wp.min(wp.ceil(reach * wp.sqrt(blurred[0])), real(MAX_RADIUS))

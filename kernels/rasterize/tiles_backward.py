@@ -62,17 +62,18 @@ _UNBLEND = """
             if (px >= width || py >= height || !(render_alphas.data[index] > 0.0f)) continue;
             const float alpha = render_alphas.data[index], depth = render_depths.data[index];
             const float v_depth = v_render_depths.data[index] / alpha;
-            float v_weight = v_render_alphas.data[index] - v_depth * depth, remaining = v_depth * depth * alpha;
+            // The depth, being an average, has no part in the loss behind at the start.
+            float v_light = v_render_alphas.data[index], remaining = 0.0f;
             for (int c = 0; c < channels; ++c) {
                 const float v_color = v_colors[channels * index + c];
                 plane[16 * c + k] = v_color;
-                v_weight -= v_color * background[c];
+                v_light -= v_color * background[c];
                 remaining += v_color * (colors[channels * index + c] - (1.0f - alpha) * background[c]);
             }
             plane[16 * v_depth_at + k] = v_depth;
-            plane[16 * v_weight_at + k] = v_weight;
+            plane[16 * v_weight_at + k] = v_light - v_depth * depth;
             plane[16 * light_at + k] = 1.0f;
-            plane[16 * remaining_at + k] = remaining + v_weight * alpha;
+            plane[16 * remaining_at + k] = remaining + v_light * alpha;
             if (median) plane[16 * (remaining_at + median) + k] = v_render_medians.data[index];
         }
     }

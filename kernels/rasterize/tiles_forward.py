@@ -38,7 +38,9 @@ _TOUCHED = f"""
 """
 
 _BLEND = """
-    constexpr int planes = channels + 2 + median;  // of a block: sums of w * colour and w * depth, light, median depth
+    // Of a block: sums of w * colour, w * depth and w (that is 1 - light, without the rounding of 1, which a faint
+    // pixel's depth would show), light, median depth
+    constexpr int weight_at = channels + 1, light_at = channels + 2, planes = channels + 3 + median;
     typedef int wide __attribute__((ext_vector_type(32)));
     typedef bool flags __attribute__((ext_vector_type(32)));
     const float x = left + 0.5f, y = top + 0.5f;
@@ -51,7 +53,7 @@ _BLEND = """
     for (int block = 0; block < 16; ++block) {
         lanes* plane = state + planes * block;
         for (int k = 0; k < planes; ++k) plane[k] = zero;
-        float* light = (float*)(plane + channels + 1);
+        float* light = (float*)(plane + light_at);
         for (int k = 0; k < 16; ++k) {
             const int px = left + 4 * (block & 3) + (k & 3), py = top + 4 * (block >> 2) + (k >> 2);
             const bool seen = px < width && py < height && (!masked || masks.data[image + (long)py * width + px]);
@@ -83,8 +85,8 @@ _BLEND = """
             lanes sums[channels + 1];
             #pragma unroll
             for (int k = 0; k <= channels; ++k) sums[k] = plane[k];
-            lanes light = plane[channels + 1], halved = zero;
-            if (median) halved = plane[channels + 1 + median];
+            lanes weights = plane[weight_at], light = plane[light_at], halved = zero;
+            if (median) halved = plane[light_at + median];
             for (; list; list &= list - 1) {
                 const int j = __builtin_ctz(list);
                 const float* p = params + (param_size + 1) * j;
@@ -98,14 +100,16 @@ _BLEND = """
                 const lanes weight = goes_on ? absorbed : zero;
                 #pragma unroll
                 for (int k = 0; k <= channels; ++k) sums[k] += weight * p[6 + k];
+                weights += weight;
                 if (median) halved = ((light > 0.5f) & goes_on & (behind <= 0.5f)) ? (lanes)p[6 + channels] : halved;
                 light = goes_on ? behind : -__builtin_elementwise_abs(light);
                 took |= (unsigned)(__builtin_reduce_or(weight > 0.0f) & 1) << j;
             }
             #pragma unroll
             for (int k = 0; k <= channels; ++k) plane[k] = sums[k];
-            plane[channels + 1] = light;
-            if (median) plane[channels + 1 + median] = halved;
+            plane[weight_at] = weights;
+            plane[light_at] = light;
+            if (median) plane[light_at + median] = halved;
             lists[block] = took;
             if (!__builtin_reduce_or(light > 0.0f)) open &= ~(1u << block);
         }
@@ -119,11 +123,11 @@ _BLEND = """
             const int px = left + 4 * (block & 3) + (k & 3), py = top + 4 * (block >> 2) + (k >> 2);
             if (px >= width || py >= height) continue;
             const long index = image + (long)py * width + px;
-            const float light = __builtin_fabsf(plane[16 * (channels + 1) + k]), alpha = 1.0f - light;
+            const float light = __builtin_fabsf(plane[16 * light_at + k]), weight = plane[16 * weight_at + k];
             for (int c = 0; c < channels; ++c) colors[channels * index + c] = plane[16 * c + k] + light * background[c];
-            render_alphas.data[index] = alpha;
-            render_depths.data[index] = alpha > 0.0f ? plane[16 * channels + k] / alpha : 0.0f;
-            if (median) render_medians.data[index] = plane[16 * (channels + 1 + median) + k];
+            render_alphas.data[index] = 1.0f - light;
+            render_depths.data[index] = weight > 0.0f ? plane[16 * channels + k] / weight : 0.0f;
+            if (median) render_medians.data[index] = plane[16 * (light_at + median) + k];
         }
     }
     return at < end ? at : end;
