@@ -1,0 +1,141 @@
+"""Compositing in the GPU's shape: float32, a block of 256 threads per 16 x 16 tile (docs/kernels.md).
+
+It runs on CUDA, and on the CPU with `wp.config.enable_cpu_blocks`, which is how its tests run without a GPU. Sums are
+added in a fixed order, without atomics, so a device gives the same bits every time.
+"""
+
+from dataclasses import dataclass
+
+import warp as wp
+
+from graphgs.kernels.rasterize.buffers import Frame, Image, Splats, or_empty
+from graphgs.kernels.rasterize.gpu_backward import gather_splats_kernel, gpu_backward_kernel, row_length
+from graphgs.kernels.rasterize.gpu_forward import THREADS, gpu_forward_kernel
+from graphgs.kernels.rasterize.gpu_lists import GpuLists, list_tiles
+from graphgs.kernels.rasterize.gpu_room import IntersectionOverflow, Room, shared_room
+
+__all__ = ["GpuState", "IntersectionOverflow", "composite_gpu", "composite_gpu_backward"]
+
+
+@dataclass(frozen=True)
+class GpuState:
+    """What the backward pass needs of the forward pass."""
+
+    lists: GpuLists
+    room: Room
+    alphas: wp.array  # [C * H * W]
+    color_sums: wp.array  # [C * H * W] vector of D channels
+    depth_sums: wp.array  # [C * H * W]
+    tile_stops: wp.array  # [C * tiles] int
+
+
+def composite_gpu(
+    splats: Splats,
+    radii: wp.array,  # [C * N] vec2i [px], 0 = not visible
+    frame: Frame,
+    image: Image,
+    *,
+    threads: int = 1,  # the CPU's; as in the other shapes
+    exact: bool = False,  # wait for the count of intersections: for callers that will not call the backward pass
+    room: Room | None = None,  # None: the one of the device's current stream
+) -> GpuState:
+    """Fill `image`. Unless `exact`, whether it is whole is known in the backward pass (see `gpu_room`)."""
+    device = splats.depths.device
+    _require_blocks(device)
+    room = shared_room(device) if room is None else room
+    lists = list_tiles(splats, radii, frame, room, exact=exact)
+    color_sums = wp.empty(image.alphas.size, dtype=image.colors.dtype, device=device)
+    depth_sums = wp.empty(image.alphas.size, dtype=float, device=device)
+    tile_stops = wp.empty(lists.tile_ranges.size, dtype=int, device=device)
+    wp.launch_tiled(
+        gpu_forward_kernel(splats.colors.dtype._length_),
+        dim=[lists.tile_ranges.size],
+        inputs=[
+            splats.means2d,
+            splats.conics,
+            splats.depths,
+            splats.opacities,
+            splats.colors,
+            lists.splat_ids,
+            lists.tile_ranges,
+            frame.width,
+            frame.height,
+            frame.backgrounds,
+            or_empty(frame.masks, wp.uint8, device),
+        ],
+        outputs=[
+            image.colors,
+            image.alphas,
+            image.depths,
+            or_empty(image.median_depths, float, device),
+            color_sums,
+            depth_sums,
+            tile_stops,
+        ],
+        device=device,
+        block_dim=int(THREADS),
+    )
+    return GpuState(lists, room, image.alphas, color_sums, depth_sums, tile_stops)
+
+
+def composite_gpu_backward(
+    splats: Splats, frame: Frame, state: GpuState, v_image: Image, v_splats: Splats, *, threads: int = 1
+) -> None:
+    """Fill `v_splats` where a splat was visible; the rest must be zero before. Raises IntersectionOverflow."""
+    device = splats.depths.device
+    _require_blocks(device)
+    lists, room = state.lists, state.room
+    if lists.count is not None:
+        room.check(lists.count)
+    channels = splats.colors.dtype._length_
+    splat_sums = room.scratch("splat_sums", lists.slots.size * row_length(channels), float)
+    splat_sums.zero_()
+    wp.launch_tiled(
+        gpu_backward_kernel(channels),
+        dim=[state.tile_stops.size],
+        inputs=[
+            splats.means2d,
+            splats.conics,
+            splats.depths,
+            splats.opacities,
+            splats.colors,
+            lists.splat_ids,
+            lists.slots,
+            lists.tile_ranges,
+            state.tile_stops,
+            frame.width,
+            frame.height,
+            frame.backgrounds,
+            state.alphas,
+            state.color_sums,
+            state.depth_sums,
+            v_image.colors,
+            v_image.alphas,
+            v_image.depths,
+            or_empty(v_image.median_depths, float, device),
+        ],
+        outputs=[splat_sums],
+        device=device,
+        block_dim=int(THREADS),
+    )
+    wp.launch(
+        gather_splats_kernel(channels),
+        dim=splats.depths.size,
+        inputs=[lists.order, lists.slot_ends, splats.conics, splats.opacities, splat_sums],
+        outputs=[
+            v_splats.means2d,
+            v_splats.conics,
+            v_splats.depths,
+            v_splats.opacities,
+            v_splats.colors,
+            or_empty(v_splats.abs_means2d, wp.vec2, device),
+        ],
+        device=device,
+    )
+
+
+def _require_blocks(device: wp.Device) -> None:
+    if device.is_cpu and not wp.config.enable_cpu_blocks:
+        raise RuntimeError(
+            "the GPU's shape on a CPU needs warp.config.enable_cpu_blocks = True: a block would silently be one thread"
+        )

@@ -1,0 +1,84 @@
+"""Device memory that the GPU's shape keeps between steps, and a count of intersections that nobody waits for.
+
+How many intersections a view has is known on the device alone. To read it before compositing would stop the host until
+the device has caught up, in every step. So the memory has room for more than were last seen, the step runs within that
+room, and the count travels to the host meanwhile; the backward pass looks at it, when the device has work queued.
+"""
+
+from functools import cache
+
+import warp as wp
+
+
+class IntersectionOverflow(RuntimeError):
+    """A view had more intersections than there was room for. The room has grown: repeat the step."""
+
+    def __init__(self, count: int, capacity: int) -> None:
+        super().__init__(
+            f"{count} intersections of splats and tiles, but room for {capacity}: the room has grown, repeat the step"
+        )
+        self.count = count
+        self.capacity = capacity
+
+
+class Count:
+    """A number on its way from the device."""
+
+    def __init__(self, source: wp.array, capacity: int) -> None:  # source: [1] int
+        self.capacity = capacity  # of the lists that were made with it
+        self._value = wp.empty(1, dtype=int, device="cpu", pinned=source.device.is_cuda)
+        wp.copy(self._value, source)
+        self._event = wp.record_event() if source.device.is_cuda else None
+
+    def read(self) -> int:
+        """Wait until it has arrived."""
+        if self._event is not None:
+            wp.synchronize_event(self._event)
+        return int(self._value.numpy()[0])
+
+
+class Room:
+    """Scratch arrays of one device and stream; they only grow."""
+
+    def __init__(self, device, *, capacity: int = 0, deferred: bool) -> None:
+        self.device = wp.get_device(device)
+        self.capacity = capacity  # intersections
+        self.deferred = deferred  # whether counts are looked at afterwards
+        self._scratch: dict[str, wp.array] = {}
+        self._seen: tuple[int, ...] | None = None
+
+    def scratch(self, name: str, size: int, dtype=int) -> wp.array:
+        """An array of `size` elements of any content; it belongs to the caller until the next one asks by that name."""
+        array = self._scratch.get(name)
+        if array is None or array.size < size:
+            array = self._scratch[name] = wp.empty(size, dtype=dtype, device=self.device)
+        return array[:size]
+
+    def is_familiar(self, *sizes: int) -> bool:
+        """Whether the last view had the same sizes, so that its count says how much room this one needs."""
+        familiar = self._seen == sizes
+        self._seen = sizes
+        return familiar
+
+    def fit(self, count: int) -> None:
+        """Make room for `count` intersections, and more, since Gaussians move."""
+        if count + count // 8 > self.capacity:
+            self.capacity = count + count // 2 + 256
+
+    def check(self, count: Count) -> None:
+        """Raise IntersectionOverflow if the lists made with this count are short."""
+        needed = count.read()
+        self.fit(needed)
+        if needed > count.capacity:
+            raise IntersectionOverflow(needed, count.capacity)
+
+
+def shared_room(device) -> Room:
+    """The room of the device's current stream. On the CPU a count is there as soon as it is asked for."""
+    device = wp.get_device(device)
+    return _room(device.alias, device.stream.cuda_stream if device.is_cuda else None)
+
+
+@cache
+def _room(device: str, stream: int | None) -> Room:
+    return Room(device, deferred=stream is not None)
