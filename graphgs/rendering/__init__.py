@@ -1,5 +1,6 @@
-"""Rendering: Gaussians and cameras in, images, depths and gradients out."""
+"""From Gaussians and cameras to images, differentiable."""
 
+from graphgs.kernels.rasterize.gpu import IntersectionOverflow
 from graphgs.rendering.rasterize import RenderOutput, rasterize
 
-__all__ = ["RenderOutput", "rasterize"]
+__all__ = ["IntersectionOverflow", "RenderOutput", "rasterize"]

@@ -8,6 +8,7 @@ from torch.autograd import Function
 from torch.autograd.function import once_differentiable
 
 from graphgs.kernels.rasterize.buffers import Frame, Image, Splats
+from graphgs.kernels.rasterize.gpu import composite_gpu, composite_gpu_backward
 from graphgs.kernels.rasterize.pixels import composite_pixels, composite_pixels_backward
 from graphgs.kernels.rasterize.tiles import composite_tiles, composite_tiles_backward
 from graphgs.rendering.bridge import flags, scalars, sum_rows, torch_stream, vectors, zeros
@@ -15,8 +16,8 @@ from graphgs.threads import get_num_threads
 
 Shape = Literal["pixels", "tiles", "gpu"]
 
-FORWARD = {"pixels": composite_pixels, "tiles": composite_tiles}
-BACKWARD = {"pixels": composite_pixels_backward, "tiles": composite_tiles_backward}
+FORWARD = {"pixels": composite_pixels, "tiles": composite_tiles, "gpu": composite_gpu}
+BACKWARD = {"pixels": composite_pixels_backward, "tiles": composite_tiles_backward, "gpu": composite_gpu_backward}
 
 
 @dataclass(frozen=True)

@@ -65,6 +65,10 @@ class Parameters:
             )
             value.grad = None
 
+    def clear_gradients(self) -> None:
+        for value in self.values.values():
+            value.grad = None
+
     @torch.no_grad()
     def rebuild(
         self,

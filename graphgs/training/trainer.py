@@ -7,7 +7,7 @@ from torch import Tensor
 from graphgs.graph import CameraGraph
 from graphgs.graph.sampler import ViewSampler
 from graphgs.losses import photometric_loss
-from graphgs.rendering import RenderOutput, rasterize
+from graphgs.rendering import IntersectionOverflow, RenderOutput, rasterize
 from graphgs.rendering.splats import Splats
 from graphgs.scene.views import Views
 from graphgs.training.config import TrainConfig
@@ -68,6 +68,20 @@ class Trainer:
         """Execute one step; the loss, detached."""
         self.between_steps = False
         step = self.done
+        try:
+            loss, out = self._gradients(step)
+        except IntersectionOverflow:  # a GPU learns late that a view met more tiles than any before; now there is room
+            self.parameters.clear_gradients()
+            loss, out = self._gradients(step)
+        self.strategy.after_backward(step, out)
+        self.parameters.step(step, self._rates(step))
+        self.strategy.after_step(step, self.parameters)
+        self.done += 1
+        self.between_steps = True
+        return loss
+
+    def _gradients(self, step: int) -> tuple[Tensor, RenderOutput]:
+        """Render, compare, differentiate: the loss, detached, and the render it came from."""
         view, photo, mask = self._images.of_step(step)
         degree = self.schedule.sh_degree(step)
         gaussians = self._gaussians(degree)
@@ -86,12 +100,7 @@ class Trainer:
                 loss = loss + self.config.lambda_consistency * extra
         self.strategy.before_backward(step, out)
         loss.backward()
-        self.strategy.after_backward(step, out)
-        self.parameters.step(step, self._rates(step))
-        self.strategy.after_step(step, self.parameters)
-        self.done += 1
-        self.between_steps = True
-        return loss.detach()
+        return loss.detach(), out
 
     def splats(self) -> Splats:
         """The Gaussians as they are, detached."""
@@ -130,6 +139,7 @@ class Trainer:
             width,
             height,
             sh_degree=degree,
+            validate=False,  # the run looks at the losses, and rolls back
         )
 
     def _rates(self, step: int) -> dict[str, float]:
