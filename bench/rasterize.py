@@ -1,94 +1,79 @@
-"""`rasterize`, forward and backward, projection and spherical harmonics included, at 270 x 480.
+"""`rasterize`, forward and backward, projection and spherical harmonics included.
 
-The yardstick is the plain shape, one thread per pixel on one CPU thread: it stays as it is and is timed in the same
-run, so the ratio says what the fast shape gains on any machine, busy or not.
+Two yardsticks run beside it: the frozen plain kernel, one thread per pixel (bench/yardstick.py), and, on a tiny scene,
+the float64 twin in torch. Ratios against something that never changes mean the same on any machine, busy or not.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
-import numpy as np
 import torch
 from torch import Tensor
 
-import graphgs
+from bench import threads
 from bench.metrics import Metric
-from bench.timing import median_ms
+from bench.scenes import Scene, procedural, scene
+from bench.timing import TOLERANCE, median_ms, median_time, time_metrics
+from bench.yardstick_step import yardstick_render
 from graphgs.rendering import rasterize
+from tests.support.reference.rasterize import rasterize as twin
 
-RECORDED = Path(__file__).resolve().parents[2] / "shared" / "data" / "raster"
-WIDTH, HEIGHT = 270, 480
-SIZES = {"2k": 2_000, "10k": 10_000}
-THREADS = (1, 2)
+SIZES = ("2k", "10k", "50k")
 
 
 @dataclass(frozen=True)
-class Workload:
-    gaussians: list[Tensor]  # means, quats, scales, opacities, sh_coeffs
+class Work:
+    """A scene on its device, with its gradients."""
+
+    scene: Scene
+    leaves: list[Tensor]
     viewmats: Tensor
     Ks: Tensor
-    v_image: Tensor  # [1, H, W, 3]
-    source: str
+    v_image: Tensor
 
-    def step(self, shape: str) -> None:
-        for tensor in self.gaussians:
-            tensor.grad = None
-        out = rasterize(*self.gaussians, self.viewmats, self.Ks, WIDTH, HEIGHT, sh_degree=3, shape=shape)
-        torch.autograd.backward(out.colors, self.v_image)
+    @staticmethod
+    def on(device: str, load: Scene, dtype: torch.dtype = torch.float32) -> "Work":
+        leaves = [leaf.detach().to(dtype).requires_grad_() for leaf in load.leaves(device)]
+        return Work(load, leaves, *(t.to(device, dtype) for t in (load.viewmats, load.Ks, load.v_image)))
 
-
-def recorded_workload(path: Path) -> Workload:
-    scene = np.load(path)
-    gaussians = [torch.from_numpy(scene[k]).requires_grad_() for k in ("means", "quats", "scales", "opacities", "sh")]
-    view, K, v_image = (torch.from_numpy(scene[k])[None] for k in ("viewmat", "K", "v_image"))
-    return Workload(gaussians, view, K, v_image, f"recorded scene {path.name}")
-
-
-def procedural_workload(n: int) -> Workload:
-    """Gaussians in front of a camera, sizes and opacities spread as in a trained scene."""
-    rng = torch.Generator().manual_seed(0)
-    focal = 350.0
-    depth = 1 + 5 * torch.rand(n, generator=rng)
-    x = (torch.rand(n, generator=rng) - 0.5) * 1.1 * WIDTH / focal * depth
-    y = (torch.rand(n, generator=rng) - 0.5) * 1.1 * HEIGHT / focal * depth
-    pixels = torch.exp(1.1 + 0.7 * torch.randn(n, 3, generator=rng))  # standard deviations as seen
-    gaussians = [
-        torch.stack([x, y, depth], -1),
-        torch.randn(n, 4, generator=rng),
-        pixels * depth[:, None] / focal,
-        torch.rand(n, generator=rng) ** 0.7,
-        0.3 * torch.randn(n, 16, 3, generator=rng),
-    ]
-    K = torch.tensor([[focal, 0, WIDTH / 2], [0, focal, HEIGHT / 2], [0, 0, 1]])
-    v_image = torch.randn(1, HEIGHT, WIDTH, 3, generator=rng)
-    tensors = [tensor.requires_grad_() for tensor in gaussians]
-    return Workload(tensors, torch.eye(4)[None], K[None], v_image, f"procedural scene, seed 0, {n} Gaussians")
-
-
-def workload(name: str) -> Workload:
-    path = RECORDED / f"scene_{name}.npz"
-    return recorded_workload(path) if path.is_file() else procedural_workload(SIZES[name])
+    def step(self, render: Callable) -> None:
+        """Forward and backward."""
+        for leaf in self.leaves:
+            leaf.grad = None
+        out = render(*self.leaves, self.viewmats, self.Ks, self.scene.width, self.scene.height, sh_degree=3)
+        torch.autograd.backward(out if isinstance(out, Tensor) else out.colors, self.v_image)
 
 
 def run(device: str) -> list[Metric]:
     metrics = []
-    torch_threads = torch.get_num_threads()
     for name in SIZES:
-        load = workload(name)
+        load = scene(name)
         print(f"rasterize/{name}: {load.source}")
-        _use_threads(1)
-        yardstick = median_ms(lambda load=load: load.step("pixels"), repeats=3, warmup=1)
-        metrics.append(Metric(f"rasterize/{name}/yardstick", yardstick, "ms", "lower", 0.5))
-        for threads in THREADS:
-            _use_threads(threads)
-            elapsed = median_ms(lambda load=load: load.step("tiles"), repeats=20, warmup=3)
-            label = f"rasterize/{name}/{threads} thread" + "s" * (threads > 1)
-            metrics.append(Metric(label, elapsed, "ms", "lower", 0.25))
-            metrics.append(Metric(f"{label}/speed-up", yardstick / elapsed, "x", "higher", 0.25))
-    _use_threads(torch_threads)
+        walls = []
+        for count in threads.counts(device):
+            with threads.use_threads(count):
+                key = f"rasterize/{name}/{threads.label(count)}"
+                metrics += against_yardstick(key, Work.on(device, load))
+                walls.append(next(m.value for m in metrics if m.name == key))
+        if len(walls) > 1:
+            metrics.append(Metric(f"rasterize/{name}/scaling", walls[0] / walls[-1], "x", "higher", TOLERANCE))
+    return metrics + against_twin(device)
+
+
+def against_yardstick(key: str, work: Work) -> list[Metric]:
+    device = work.v_image.device.type
+    timing = median_time(lambda: work.step(rasterize), repeats=20, warmup=3, device=str(work.v_image.device))
+    metrics = time_metrics(key, timing)
+    if device == "cpu":
+        yardstick = median_ms(lambda: work.step(yardstick_render), repeats=3, warmup=1)
+        metrics.append(Metric(f"{key}/times the yardstick", yardstick / timing.wall_ms, "x", "higher", TOLERANCE))
     return metrics
 
 
-def _use_threads(count: int) -> None:
-    graphgs.set_num_threads(count)
-    torch.set_num_threads(count)
+def against_twin(device: str) -> list[Metric]:
+    tiny = procedural(200, 64, 64, pixels=3.0)
+    with threads.use_threads(1):
+        ours, theirs = Work.on(device, tiny), Work.on("cpu", tiny, torch.float64)
+        fast = median_ms(lambda: ours.step(rasterize), repeats=10, device=device)
+        slow = median_ms(lambda: theirs.step(twin), repeats=3, warmup=1)
+    return [Metric("rasterize/tiny/times the torch twin", slow / fast, "x", "higher", 0.5)]
