@@ -93,7 +93,8 @@ def blur(covariance: Any, eps2d: Any):
 @wp.func
 def conic_from_covariance(covariance: Any):
     """Upper triangle of the inverse [px^-2]."""
-    return wp.vector(covariance[2], -covariance[1], covariance[0]) / covariance[3]
+    det = covariance[3]
+    return wp.vector(covariance[2] / det, -covariance[1] / det, covariance[0] / det)  # det^2 might overflow
 
 
 @wp.func

@@ -16,7 +16,7 @@ from graphgs.kernels.gaussian import (
 )
 from graphgs.kernels.launch import launch_range
 from graphgs.kernels.rasterize.buffers import Splats
-from graphgs.kernels.rasterize.constants import ALPHA_MIN, MAX_RADIUS, MAX_SIGMA
+from graphgs.kernels.rasterize.constants import ALPHA_MIN, MAX_RADIUS, MAX_SIGMA, MAX_VARIANCE
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,8 @@ def project_forward_kernel(real):
                 opacity = opacities[g]
                 if antialiased:
                     opacity *= blur_compensation(covariance, blurred)
-                if blurred[3] > real(0.0) and opacity >= real(ALPHA_MIN):
+                bounded = blurred[0] + blurred[2] < real(MAX_VARIANCE)  # and no NaN
+                if bounded and blurred[3] > real(0.0) and opacity >= real(ALPHA_MIN):
                     # Where alpha falls to ALPHA_MIN, which is tighter than three standard deviations for a faint one.
                     reach = wp.min(real(MAX_SIGMA), wp.sqrt(real(2.0) * wp.log(opacity / real(ALPHA_MIN))))
                     radius_x = wp.min(wp.ceil(reach * wp.sqrt(blurred[0])), real(MAX_RADIUS))
