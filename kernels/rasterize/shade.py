@@ -8,12 +8,13 @@ from functools import cache
 import warp as wp
 
 from graphgs.kernels.launch import launch_range
-from graphgs.kernels.sh import sh_basis, sh_sum
+from graphgs.kernels.sh import BAND_0, add_band, band_1, band_2, band_3, band_color, band_weights
 
 
 @cache
 def shade_forward_kernel(real):
-    vec2i, vec3, vec16 = wp.vec2i, wp.types.vector(3, real), wp.types.vector(16, real)
+    vec2i = wp.vec2i
+    vec3, vec5, vec7 = (wp.types.vector(length, real) for length in (3, 5, 7))
 
     @wp.kernel(enable_backward=False, module="unique")
     def shade_forward(
@@ -33,9 +34,17 @@ def shade_forward_kernel(real):
             at = c * means.shape[0] + g
             color = vec3()
             if radii[at][0] > 0:
-                basis = sh_basis(degree, wp.normalize(means[g] - centers[c]), vec16())
-                for k in range((degree + 1) * (degree + 1)):
-                    color += basis[k] * sh_coeffs[g, k]
+                direction = wp.normalize(means[g] - centers[c])
+                color = real(BAND_0) * sh_coeffs[g, 0]
+                if degree >= 1:
+                    _direction, basis_1 = wp.grad(band_1)(direction, vec3())
+                    color += band_color(sh_coeffs, g, 1, basis_1)
+                if degree >= 2:
+                    _direction, basis_2 = wp.grad(band_2)(direction, vec5())
+                    color += band_color(sh_coeffs, g, 4, basis_2)
+                if degree >= 3:
+                    _direction, basis_3 = wp.grad(band_3)(direction, vec7())
+                    color += band_color(sh_coeffs, g, 9, basis_3)
                 color = wp.max(color + vec3(real(0.5)), vec3())
             colors[at] = color
 
@@ -66,7 +75,8 @@ def shade(
 
 @cache
 def shade_backward_kernel(real):
-    vec2i, vec3, vec16 = wp.vec2i, wp.types.vector(3, real), wp.types.vector(16, real)
+    vec2i = wp.vec2i
+    vec3, vec5, vec7 = (wp.types.vector(length, real) for length in (3, 5, 7))
 
     @wp.kernel(enable_backward=False, module="unique")
     def shade_backward(
@@ -100,12 +110,20 @@ def shade_backward_kernel(real):
                         v_color[channel] = real(0.0)
                 offset = means[g] - centers[c]
                 direction = wp.normalize(offset)
-                weights = vec16()
-                for k in range((degree + 1) * (degree + 1)):
-                    weights[k] = wp.dot(sh_coeffs[g, k], v_color)
-                _degree, v_direction, basis = wp.grad(sh_sum)(degree, direction, weights)
-                for k in range((degree + 1) * (degree + 1)):
-                    v_sh_coeffs[g, k] += basis[k] * v_color
+                v_sh_coeffs[g, 0] += real(BAND_0) * v_color
+                v_direction = vec3()
+                if degree >= 1:
+                    v_band, basis_1 = wp.grad(band_1)(direction, band_weights(sh_coeffs, g, 1, v_color, vec3()))
+                    v_direction += v_band
+                    add_band(v_sh_coeffs, g, 1, basis_1, v_color)
+                if degree >= 2:
+                    v_band, basis_2 = wp.grad(band_2)(direction, band_weights(sh_coeffs, g, 4, v_color, vec5()))
+                    v_direction += v_band
+                    add_band(v_sh_coeffs, g, 4, basis_2, v_color)
+                if degree >= 3:
+                    v_band, basis_3 = wp.grad(band_3)(direction, band_weights(sh_coeffs, g, 9, v_color, vec7()))
+                    v_direction += v_band
+                    add_band(v_sh_coeffs, g, 9, basis_3, v_color)
                 # Through the normalisation: only the part across the direction moves it.
                 v_offset = (v_direction - wp.dot(v_direction, direction) * direction) / wp.length(offset)
                 v_mean += v_offset
