@@ -15,7 +15,7 @@ from graphgs.kernels.cpu_flags import VECTOR_OPTIONS
 from graphgs.kernels.launch import launch_range
 from graphgs.kernels.rasterize.buffers import Frame, Splats
 from graphgs.kernels.rasterize.constants import TILE_SIZE
-from graphgs.kernels.rasterize.ellipse import Ellipse, alpha_ellipse, band_extent, cells_between
+from graphgs.kernels.rasterize.ellipse import alpha_ellipse
 from graphgs.kernels.rasterize.lanes import COLORS, DEPTH, ELLIPSE, LOG2_OPACITY, record_size
 
 wp.set_module_options(VECTOR_OPTIONS)
@@ -33,17 +33,6 @@ class TileLists:
     slots: wp.array  # [I] int: the same intersections counted splat by splat, where a gradient is written
     tile_starts: wp.array  # [C * tiles + 1] int, into `ranks`
     slot_starts: wp.array  # [M + 1] int, into slots
-
-
-@wp.func
-def record_ellipse(records: wp.array[float], at: int):
-    ellipse = Ellipse()
-    ellipse.slope = records[at + ELLIPSE]
-    ellipse.height = records[at + ELLIPSE + 1]
-    ellipse.right_y = records[at + ELLIPSE + 2]
-    ellipse.flatness = records[at + ELLIPSE + 3]
-    ellipse.width = records[at + ELLIPSE + 4]
-    return ellipse
 
 
 @cache
@@ -85,21 +74,103 @@ def pack_records_kernel(channels: int):
     return pack_records
 
 
-@wp.func
-def tile_row_span(records: wp.array[float], at: int, rows: int):
-    """First and last row of tiles that the ellipse meets; first > last where it meets none."""
-    my = records[at + 1]
-    height = records[at + ELLIPSE + 1]
-    return cells_between(my - height, my + height, float(TILE_SIZE), rows)
+# Visits, rank after rank, every tile that a splat's ellipse covers a pixel centre's row and column of: `cells_between`
+# of ellipse.py for its rows, then `band_extent` and `cells_between` for the columns of four rows at once.
+_VISIT_TILES = f"""
+    typedef float four __attribute__((ext_vector_type(4)));
+    typedef int ints __attribute__((ext_vector_type(4)));
+    auto larger = [](four a, four b) -> four {{ return a > b ? a : b; }};
+    auto smaller = [](four a, four b) -> four {{ return a < b ? a : b; }};
+    auto clamp = [](float x, float limit) -> float {{ return x < -1.0f ? -1.0f : (x > limit ? limit : x); }};
+    const float right_end = 16.0f * columns + 1.0f, lower_end = 16.0f * rows + 1.0f;
+    for (int rank = begin; rank < end; ++rank) {{
+        const float* s = records.data + (long)rank * record_size;
+        const float slope = s[{ELLIPSE}], height = s[{ELLIPSE} + 1], right_y = s[{ELLIPSE} + 2];
+        const float flatness = s[{ELLIPSE} + 3], width = s[{ELLIPSE} + 4];
+        const int top_px = (int)__builtin_ceilf(clamp(s[1] - height, lower_end) - 0.5f);
+        const int bottom_px = (int)__builtin_floorf(clamp(s[1] + height, lower_end) - 0.5f);
+        const int first_row = top_px > bottom_px ? 0 : (top_px >> 4 > 0 ? top_px >> 4 : 0);
+        const int last_row = top_px > bottom_px ? -1 : (bottom_px >> 4 < rows ? bottom_px >> 4 : rows - 1);
+        const int base = splat_ids.data[rank] / splats * rows * columns;
+        BEGIN
+        for (int row = first_row; row <= last_row; row += 4) {{
+            const four top = 16.0f * row + 0.5f - s[1] + (four){{0, 16, 32, 48}};
+            const four lo = larger(top, (four)-height), hi = smaller(top + 15.0f, (four)height);
+            const four at_left = smaller(larger((four)-right_y, lo), hi);
+            const four at_right = smaller(larger((four)right_y, lo), hi);
+            const four left_chord = larger(width - flatness * at_left * at_left, (four)0.0f);
+            const four right_chord = larger(width - flatness * at_right * at_right, (four)0.0f);
+            const four left = s[0] - slope * at_left - __builtin_elementwise_sqrt(left_chord);
+            const four right = s[0] - slope * at_right + __builtin_elementwise_sqrt(right_chord);
+            const four first_px = smaller(larger(left, (four)-1.0f), (four)right_end) - 0.5f;
+            const four last_px = smaller(larger(right, (four)-1.0f), (four)right_end) - 0.5f;
+            const ints first = __builtin_convertvector(__builtin_elementwise_ceil(first_px), ints);
+            const ints last = __builtin_convertvector(__builtin_elementwise_floor(last_px), ints);
+            const ints met = (lo <= hi) & (first <= last);
+            for (int k = 0; k < 4 && row + k <= last_row; ++k) {{
+                if (!met[k]) continue;
+                const int past = last[k] >> 4 < columns ? (last[k] >> 4) + 1 : columns;
+                for (int column = first[k] >> 4 > 0 ? first[k] >> 4 : 0; column < past; ++column) {{
+                    const int tile = base + (row + k) * columns + column;
+                    VISIT
+                }}
+            }}
+        }}
+        END
+    }}
+"""
 
 
-@wp.func
-def tile_column_span(records: wp.array[float], at: int, row: int, columns: int):
-    """First and last tile of that row."""
-    mx = records[at]
-    top = float(row * TILE_SIZE) + 0.5 - records[at + 1]
-    left, right = band_extent(record_ellipse(records, at), top, top + float(TILE_SIZE - 1))
-    return cells_between(mx + left, mx + right, float(TILE_SIZE), columns)
+def _visit_tiles(begin: str, visit: str, end: str) -> str:
+    return _VISIT_TILES.replace("BEGIN", begin).replace("VISIT", visit).replace("END", end)
+
+
+@wp.func_native(
+    "int* counts = tile_counts.data + (long)chunk * tiles;"
+    + _visit_tiles("int count = 0;", "++counts[tile]; ++count;", "slot_counts.data[rank] = count;")
+)
+def count_tiles(
+    records: wp.array[float],
+    record_size: int,
+    splat_ids: wp.array[int],
+    splats: int,
+    begin: int,  # ranks
+    end: int,
+    rows: int,
+    columns: int,
+    chunk: int,
+    tiles: int,
+    tile_counts: wp.array2d[int],
+    slot_counts: wp.array[int],
+):
+    """Count the tiles of each splat and the splats of each tile."""
+
+
+@wp.func_native(
+    "int* at = cursors.data + (long)chunk * tiles;"
+    + _visit_tiles(
+        "int slot = slot_starts.data[rank];",
+        "const int i = at[tile]++; ranks.data[i] = rank; slots.data[i] = slot++;",
+        "",
+    )
+)
+def fill_tiles(
+    records: wp.array[float],
+    record_size: int,
+    splat_ids: wp.array[int],
+    splats: int,
+    begin: int,  # ranks
+    end: int,
+    rows: int,
+    columns: int,
+    chunk: int,
+    tiles: int,
+    slot_starts: wp.array[int],
+    cursors: wp.array2d[int],
+    ranks: wp.array[int],
+    slots: wp.array[int],
+):
+    """Write each splat into the lists of its tiles, and count its slots on."""
 
 
 @wp.kernel
@@ -117,18 +188,12 @@ def count_chunk(
     slot_counts: wp.array[int],  # [M] tiles of each splat
 ):
     chunk = first + wp.tid()
-    for rank in range(chunk * chunk_size, wp.min((chunk + 1) * chunk_size, splat_ids.shape[0])):
-        at = rank * record_size
-        base = (splat_ids[rank] // splats) * rows * columns
-        count = int(0)
-        first_row, last_row = tile_row_span(records, at, rows)
-        for row in range(first_row, last_row + 1):
-            first_column, last_column = tile_column_span(records, at, row, columns)
-            for column in range(first_column, last_column + 1):
-                tile = base + row * columns + column
-                tile_counts[chunk, tile] = tile_counts[chunk, tile] + 1
-                count += 1
-        slot_counts[rank] = count
+    begin = chunk * chunk_size
+    end = wp.min(begin + chunk_size, splat_ids.shape[0])
+    tiles = tile_counts.shape[1]
+    count_tiles(
+        records, record_size, splat_ids, splats, begin, end, rows, columns, chunk, tiles, tile_counts, slot_counts
+    )
 
 
 @wp.kernel
@@ -148,20 +213,25 @@ def fill_chunk(
     slots: wp.array[int],  # [I]
 ):
     chunk = first + wp.tid()
-    for rank in range(chunk * chunk_size, wp.min((chunk + 1) * chunk_size, splat_ids.shape[0])):
-        at = rank * record_size
-        base = (splat_ids[rank] // splats) * rows * columns
-        slot = int(slot_starts[rank])
-        first_row, last_row = tile_row_span(records, at, rows)
-        for row in range(first_row, last_row + 1):
-            first_column, last_column = tile_column_span(records, at, row, columns)
-            for column in range(first_column, last_column + 1):
-                tile = base + row * columns + column
-                i = cursors[chunk, tile]
-                cursors[chunk, tile] = i + 1
-                ranks[i] = rank
-                slots[i] = slot
-                slot += 1
+    begin = chunk * chunk_size
+    end = wp.min(begin + chunk_size, splat_ids.shape[0])
+    tiles = cursors.shape[1]
+    fill_tiles(
+        records,
+        record_size,
+        splat_ids,
+        splats,
+        begin,
+        end,
+        rows,
+        columns,
+        chunk,
+        tiles,
+        slot_starts,
+        cursors,
+        ranks,
+        slots,
+    )
 
 
 def list_tiles(splats: Splats, radii: wp.array, frame: Frame, *, threads: int = 1) -> TileLists:
