@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import warp as wp
 
 from graphgs.kernels.rasterize.buffers import Frame, Image, Splats, or_empty
-from graphgs.kernels.rasterize.gpu_backward import gather_splats_kernel, gpu_backward_kernel, row_length
+from graphgs.kernels.rasterize.gpu_backward import gather_splats_kernel, gpu_backward_kernel, sums_type
 from graphgs.kernels.rasterize.gpu_forward import THREADS, gpu_forward_kernel
 from graphgs.kernels.rasterize.gpu_lists import GpuLists, list_tiles
 from graphgs.kernels.rasterize.gpu_room import IntersectionOverflow, Room, shared_room
@@ -88,7 +88,7 @@ def composite_gpu_backward(
     if lists.count is not None:
         room.check(lists.count)
     channels = splats.colors.dtype._length_
-    splat_sums = room.scratch("splat_sums", lists.slots.size * row_length(channels), float)
+    splat_sums = room.scratch("splat_sums", lists.slots.size, sums_type(channels))
     splat_sums.zero_()
     wp.launch_tiled(
         gpu_backward_kernel(channels),

@@ -185,7 +185,7 @@ def list_tiles(
     wp.utils.array_scan(slot_ends, slot_ends, inclusive=True)
 
     familiar = room.is_familiar(size, frame.cameras, frame.width, frame.height)
-    count = Count(slot_ends[-1:], room.capacity)
+    count = room.send(slot_ends[-1:])
     if exact or not familiar or not room.deferred:
         room.fit(count.read())
         count = None
@@ -194,7 +194,7 @@ def list_tiles(
     keys, sorted_slots = room.scratch("keys", 2 * capacity), room.scratch("slots", 2 * capacity)
     slot_splats = room.scratch("slot_splats", capacity)
     splat_ids, slots = (wp.empty(capacity, dtype=int, device=device) for _ in range(2))
-    keys.fill_(tiles)
+    keys[:capacity].fill_(tiles)
     wp.launch(
         emit_keys,
         dim=size,

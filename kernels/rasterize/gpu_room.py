@@ -6,6 +6,7 @@ room, and the count travels to the host meanwhile; the backward pass looks at it
 """
 
 from functools import cache
+from weakref import finalize
 
 import warp as wp
 
@@ -24,11 +25,18 @@ class IntersectionOverflow(RuntimeError):
 class Count:
     """A number on its way from the device."""
 
-    def __init__(self, source: wp.array, capacity: int) -> None:  # source: [1] int
+    def __init__(self, source: wp.array, capacity: int, mailboxes: list) -> None:  # source: [1] int
+        """`mailboxes` are pinned memory and events that are free; this one's go back there at the end of its life."""
         self.capacity = capacity  # of the lists that were made with it
-        self._value = wp.empty(1, dtype=int, device="cpu", pinned=source.device.is_cuda)
+        device = source.device
+        if not mailboxes:
+            event = wp.Event(device) if device.is_cuda else None
+            mailboxes.append((wp.empty(1, dtype=int, device="cpu", pinned=device.is_cuda), event))
+        self._value, self._event = mailbox = mailboxes.pop()
+        finalize(self, mailboxes.append, mailbox)
         wp.copy(self._value, source)
-        self._event = wp.record_event() if source.device.is_cuda else None
+        if self._event is not None:
+            device.stream.record_event(self._event)
 
     def read(self) -> int:
         """Wait until it has arrived."""
@@ -44,15 +52,20 @@ class Room:
         self.device = wp.get_device(device)
         self.capacity = capacity  # intersections
         self.deferred = deferred  # whether counts are looked at afterwards
-        self._scratch: dict[str, wp.array] = {}
+        self._scratch: dict[tuple, wp.array] = {}
         self._seen: tuple[int, ...] | None = None
+        self._mailboxes: list = []
 
     def scratch(self, name: str, size: int, dtype=int) -> wp.array:
         """An array of `size` elements of any content; it belongs to the caller until the next one asks by that name."""
-        array = self._scratch.get(name)
+        array = self._scratch.get((name, dtype))
         if array is None or array.size < size:
-            array = self._scratch[name] = wp.empty(size, dtype=dtype, device=self.device)
+            array = self._scratch[name, dtype] = wp.empty(size, dtype=dtype, device=self.device)
         return array[:size]
+
+    def send(self, source: wp.array) -> Count:  # [1] int
+        """Send the count of lists that are made with the present capacity."""
+        return Count(source, self.capacity, self._mailboxes)
 
     def is_familiar(self, *sizes: int) -> bool:
         """Whether the last view had the same sizes, so that its count says how much room this one needs."""
