@@ -33,7 +33,7 @@ def check_tensors(
         "Ks": (Ks, (c, 3, 3)),
     }
     if backgrounds is not None:
-        expected["backgrounds"] = (backgrounds, (c, 3 if sh_degree is not None else colors.shape[-1]))
+        expected["backgrounds"] = (backgrounds, (c, expected["colors"][1][-1]))
     for name, (tensor, size) in expected.items():
         if not isinstance(tensor, Tensor):
             raise ValueError(f"{name}: expected a tensor, got {_kind(tensor)}")

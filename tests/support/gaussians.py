@@ -21,22 +21,29 @@ class Scene:
     height: int
     options: dict = field(default_factory=dict)
     backgrounds: Tensor | None = None
+    masks: Tensor | None = None
+    fixed: tuple[str, ...] = ()  # operands whose gradient is not asked for
 
-    FLOATS = ("means", "quats", "scales", "opacities", "colors", "viewmats", "backgrounds")
+    FLOATS = ("means", "quats", "scales", "opacities", "colors", "viewmats", "Ks", "backgrounds")
 
     def leaves(self, dtype: torch.dtype, device: str = "cpu") -> dict[str, Tensor]:
-        """Fresh differentiable copies by name."""
+        """Fresh copies by name, differentiable unless fixed."""
         tensors = {name: getattr(self, name) for name in self.FLOATS if getattr(self, name) is not None}
-        return {k: v.detach().to(device, dtype).clone().requires_grad_() for k, v in tensors.items()}
+        return {
+            name: tensor.detach().to(device, dtype).clone().requires_grad_(name not in self.fixed)
+            for name, tensor in tensors.items()
+        }
 
     def render(self, function, leaves: dict[str, Tensor], **more):
         """Call `rasterize`, or its twin, on these leaves."""
-        operands = dict(leaves)
-        backgrounds = operands.pop("backgrounds", None)
-        Ks = self.Ks.to(operands["means"])
-        return function(
-            **operands, Ks=Ks, width=self.width, height=self.height, backgrounds=backgrounds, **self.options, **more
-        )
+        if self.masks is not None:
+            more = {"masks": self.masks.to(leaves["means"].device)} | more
+        return function(**leaves, width=self.width, height=self.height, **(self.options | more))
+
+    def rounded(self) -> "Scene":
+        """With operands that float32 holds exactly, so that both precisions render the same scene."""
+        tensors = {name: getattr(self, name) for name in self.FLOATS if getattr(self, name) is not None}
+        return replace(self, **{name: tensor.float().double() for name, tensor in tensors.items()})
 
 
 def make_scene(
@@ -46,6 +53,7 @@ def make_scene(
     *,
     cameras: int = 1,
     sh_coeffs: int = 0,  # K, or 0 for plain colours
+    channels: int = 3,  # D of plain colours
     depth: tuple[float, float] = (2.0, 6.0),
     spread: float = 1.2,  # of the means over the image: 1 fills it
     scale: tuple[float, float] = (0.05, 0.5),
@@ -74,46 +82,14 @@ def make_scene(
         quats=uniform(-1, 1, n, 4),
         scales=uniform(*scale, n, 3),
         opacities=uniform(*opacity, n),
-        colors=uniform(-0.5, 0.5, n, sh_coeffs, 3) if sh_coeffs else uniform(0, 1, n, 3),
+        colors=uniform(-0.5, 0.5, n, sh_coeffs, 3) if sh_coeffs else uniform(0, 1, n, channels),
         viewmats=viewmats,
         Ks=K.repeat(cameras, 1, 1),
         width=width,
         height=height,
         options=options,
-        backgrounds=uniform(0, 1, cameras, 3) if background else None,
-    )
-
-
-def edge_case_scenes() -> dict[str, Scene]:
-    """What real data does to a rasterizer, one scene each."""
-    plain = make_scene(30)
-    turned = plain.quats.clone()
-    turned[::3] = 0
-    level = plain.means.clone()
-    level[:, 2] = 3.0
-    ahead = make_scene(40, depth=(-4.0, 5.0), seed=3)
-    return {
-        "plain": plain,
-        "no background": replace(plain, backgrounds=None),
-        "sh 3 of 3, two cameras": make_scene(20, cameras=2, sh_coeffs=16, sh_degree=3, seed=1),
-        "sh 1 of 3": make_scene(20, sh_coeffs=16, sh_degree=1, seed=2),
-        "sh 0": make_scene(20, sh_coeffs=1, sh_degree=0, seed=2),
-        "antialiased": make_scene(30, scale=(0.005, 0.1), antialiased=True, seed=4),
-        "more in a tile than a batch": make_scene(300, 18, 17, scale=(0.02, 0.2), opacity=(0.01, 0.2), seed=5),
-        "behind the camera": ahead,
-        "equal depths": replace(
-            plain,
-            means=level,
-            viewmats=torch.eye(4, dtype=torch.float64)[None],
-        ),
-        "saturated": make_scene(60, scale=(0.5, 1.5), opacity=(1.0, 1.0), seed=6),
-        "empty tiles": make_scene(6, 70, 50, spread=0.1, scale=(0.01, 0.05), seed=7),
-        "far outside": make_scene(30, spread=4.0, scale=(0.2, 1.0), seed=8),
-        "zero quaternions": replace(plain, quats=turned),
-        "one pixel": make_scene(5, 1, 1, scale=(0.5, 1.5), seed=9),
-        "nothing visible": make_scene(5, depth=(-4.0, -2.0), seed=10),
-        "nothing at all": make_scene(0),
-    }
+        backgrounds=uniform(0, 1, cameras, channels) if background else None,
+    ).rounded()
 
 
 def _skew(v: Tensor) -> Tensor:

@@ -1,9 +1,34 @@
-"""The rasterizer written for reading: every Gaussian over every pixel, in turn; torch derives the gradient."""
+"""The rasterizer written for reading: every Gaussian over every pixel, in float64; torch derives the gradient."""
+
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from tests.support.reference.sh import sh_colors
+
+ALPHA_MIN, ALPHA_MAX, LIGHT_MIN = 1 / 255, 0.99, 1e-4
+
+
+@dataclass(frozen=True)
+class Twin:
+    """What the twin renders, as `RenderOutput` names it, and what it knows about each pixel."""
+
+    colors: Tensor  # [C, H, W, D]
+    alphas: Tensor  # [C, H, W, 1]
+    depths: Tensor  # [C, H, W, 1]
+    median_depths: Tensor | None  # [C, H, W, 1]
+    doubtful: Tensor  # [C, H, W] bool: so near a threshold that single precision may decide otherwise
+    walked: Tensor  # [C, H, W] how many Gaussians the pixel took
+    shares: list[Tensor]  # per camera [N, P, 2]: the projected centres, a copy for each of the P pixels not masked
+
+    def v_means2d(self) -> Tensor:  # [C, N, 2]
+        """After backward: the gradient of the projected centres."""
+        return torch.stack([share.grad.sum(dim=1) for share in self.shares])
+
+    def absgrad(self) -> Tensor:  # [C, N, 2]
+        """After backward: the sum over pixels of the absolute value of each pixel's share (AbsGS, Ye et al. 2024)."""
+        return torch.stack([share.grad.abs().sum(dim=1) for share in self.shares])
 
 
 def rasterize(
@@ -11,7 +36,7 @@ def rasterize(
     quats: Tensor,  # [N, 4] wxyz
     scales: Tensor,  # [N, 3]
     opacities: Tensor,  # [N]
-    colors: Tensor,  # [N, 3] or [N, K, 3]
+    colors: Tensor,  # [N, D] or [N, K, 3]
     viewmats: Tensor,  # [C, 4, 4]
     Ks: Tensor,  # [C, 3, 3]
     width: int,
@@ -22,40 +47,49 @@ def rasterize(
     far: float = 1e10,
     eps2d: float = 0.3,
     antialiased: bool = False,
-    backgrounds: Tensor | None = None,  # [C, 3]
-) -> tuple[Tensor, Tensor, Tensor]:  # colors [C, H, W, 3], alphas [C, H, W, 1], depths [C, H, W, 1]
-    images = []
+    backgrounds: Tensor | None = None,  # [C, D]
+    masks: Tensor | None = None,  # [C, H, W] bool; where False a pixel sees no Gaussian
+    median_depth: bool = False,
+    absgrad: bool = False,  # keep each pixel's share of the gradient of the projected centres
+) -> Twin:
+    size = (height, width)
+    images, shares = [], []
     for c in range(viewmats.shape[0]):
         rotation, translation = viewmats[c, :3, :3], viewmats[c, :3, 3]
         points = means @ rotation.T + translation
-        kept = (points[:, 2] > near) & (points[:, 2] < far)
-        ids = torch.arange(len(means))[kept]
-        points = points[kept]
-        means2d, covariances = project(points, quats[ids], scales[ids], rotation, Ks[c], width, height)
-        blurred = covariances + eps2d * torch.eye(2, dtype=means.dtype)
-        alphas_at_mean = opacities[ids]
+        ids = torch.nonzero((points[:, 2] > near) & (points[:, 2] < far)).squeeze(1)
+        ids = ids[torch.sort(points[ids, 2], stable=True).indices]  # front to back
+        means2d, covariances = project(points[ids], quats[ids], scales[ids], rotation, Ks[c], width, height)
+        blurred = covariances + eps2d * torch.eye(2).to(means)
+        peaks = opacities[ids]
         if antialiased:
-            ratio = torch.linalg.det(covariances) / torch.linalg.det(blurred)
-            alphas_at_mean = alphas_at_mean * ratio.clamp(min=0).sqrt()
-        if sh_degree is None:
-            rgb = colors[ids]
+            ratio = determinants(covariances) / determinants(blurred)
+            drawn = ratio > 0  # the square root has no gradient at 0
+            peaks = torch.where(drawn, peaks * torch.where(drawn, ratio, 1.0).sqrt(), 0.0)
+        shown = colors[ids]
+        if sh_degree is not None:
+            shown = sh_colors(shown, means[ids] + rotation.T @ translation, sh_degree)
+
+        # Only the pixels that see Gaussians; the others keep the values of an empty image.
+        seen = torch.ones(size, dtype=torch.bool) if masks is None else masks[c]
+        py, px = torch.nonzero(seen, as_tuple=True)
+        pixels = torch.stack([px, py], -1).to(means) + 0.5  # [P, 2]
+        if absgrad:
+            share = torch.zeros(len(means), len(pixels), 2).to(means).requires_grad_()
+            share.grad = torch.zeros_like(share)
+            shares.append(share)
+            offsets = pixels - (means2d[:, None] + share[ids])
         else:
-            rgb = sh_colors(colors[ids], means[ids] + rotation.T @ translation, sh_degree)
-        order = torch.sort(points[:, 2], stable=True).indices
-        background = None if backgrounds is None else backgrounds[c]
-        images.append(
-            composite(
-                means2d[order],
-                torch.linalg.inv(blurred[order]),
-                points[order, 2],
-                alphas_at_mean[order],
-                rgb[order],
-                background,
-                width,
-                height,
-            )
-        )
-    return tuple(torch.stack(parts) for parts in zip(*images, strict=True))
+            offsets = pixels - means2d[:, None]
+        parts = composite(offsets, invert(blurred), points[ids, 2], peaks, shown, median_depth)
+        images.append([part.new_zeros(*size, *part.shape[1:]).index_put((py, px), part) for part in parts])
+
+    color, alpha, depth, median, doubtful, walked = (torch.stack(part) for part in zip(*images, strict=True))
+    if backgrounds is not None:
+        color = color + (1 - alpha)[..., None] * backgrounds[:, None, None]
+    return Twin(
+        color, alpha[..., None], depth[..., None], median[..., None] if median_depth else None, doubtful, walked, shares
+    )
 
 
 def project(
@@ -94,38 +128,73 @@ def rotation_matrices(
     return torch.stack(rows, -2)
 
 
+def determinants(
+    matrices: Tensor,  # [M, 2, 2]
+) -> Tensor:  # [M]
+    return matrices[:, 0, 0] * matrices[:, 1, 1] - matrices[:, 0, 1] * matrices[:, 1, 0]
+
+
+def invert(
+    covariances: Tensor,  # [M, 2, 2] symmetric
+) -> Tensor:  # [M, 3] upper triangles of the inverse
+    triangle = torch.stack([covariances[:, 1, 1], -covariances[:, 0, 1], covariances[:, 0, 0]], -1)
+    return triangle / determinants(covariances)[:, None]
+
+
 def composite(
-    means2d: Tensor,  # [M, 2] front to back
-    conics: Tensor,  # [M, 2, 2]
+    offsets: Tensor,  # [M, P, 2] from the Gaussians, front to back, to the pixels
+    conics: Tensor,  # [M, 3]
     depths: Tensor,  # [M]
-    opacities: Tensor,  # [M]
-    rgb: Tensor,  # [M, 3]
-    background: Tensor | None,  # [3]
-    width: int,
-    height: int,
-) -> tuple[Tensor, Tensor, Tensor]:
-    px = torch.arange(width, dtype=means2d.dtype) + 0.5
-    py = torch.arange(height, dtype=means2d.dtype) + 0.5
-    pixels = torch.stack(torch.meshgrid(px, py, indexing="xy"), -1)  # [H, W, 2]
-    light = torch.ones(height, width, dtype=means2d.dtype)
-    color = torch.zeros(height, width, 3, dtype=means2d.dtype)
-    depth_sum = torch.zeros_like(light)
-    stopped = torch.zeros(height, width, dtype=torch.bool)
-    for mean, conic, depth, opacity, shade in zip(means2d, conics, depths, opacities, rgb, strict=True):
-        offset = pixels - mean
-        sigma = 0.5 * torch.einsum("hwi,ij,hwj->hw", offset, conic, offset)
-        alpha = (opacity * torch.exp(-sigma)).clamp(max=0.99)
-        visible = (alpha >= 1 / 255) & ~stopped
-        behind = light * (1 - alpha)
-        stopped = stopped | (visible & (behind <= 1e-4))
-        taken = visible & ~stopped
-        weight = torch.where(taken, alpha * light, 0.0)
-        color = color + weight[..., None] * shade
-        depth_sum = depth_sum + weight * depth
-        light = torch.where(taken, behind, light)
-    alpha_sum = 1 - light
+    peaks: Tensor,  # [M] opacities at the projected centres
+    colors: Tensor,  # [M, D]
+    median_depth: bool,
+) -> tuple[Tensor, ...]:  # colour [P, D] without background; alpha, depth, median depth, doubtful and walked [P]
+    dx, dy = offsets.unbind(-1)
+    a, b, c = (conics[:, k, None] for k in range(3))
+    raw = peaks[:, None] * torch.exp(-(0.5 * (a * dx * dx + c * dy * dy) + b * dx * dy))  # [M, P]
+    alpha = raw.clamp(max=ALPHA_MAX)
+    visible = alpha >= ALPHA_MIN
+
+    # Light only falls, so a pixel has stopped where, with all visible Gaussians taken, too little would be left.
+    with torch.no_grad():
+        if_taken = torch.cumprod(1 - torch.where(visible, alpha, 0.0), dim=0)
+    taken = visible & (if_taken > LIGHT_MIN)
+    alpha = torch.where(taken, alpha, 0.0)
+    start = torch.ones_like(alpha[:1]) if len(alpha) else alpha.new_ones(1, alpha.shape[1])
+    light = torch.cat([start, torch.cumprod(1 - alpha, dim=0)])  # [M + 1, P] before and after each
+    weights = alpha * light[:-1]
+
+    alpha_sum = 1 - light[-1]
     covered = alpha_sum > 0
-    depth = torch.where(covered, depth_sum / torch.where(covered, alpha_sum, 1.0), 0.0)
-    if background is not None:
-        color = color + light[..., None] * background
-    return color, alpha_sum[..., None], depth[..., None]
+    depth = torch.where(covered, depths @ weights / torch.where(covered, alpha_sum, 1.0), 0.0)
+    halving = (light[:-1] > 0.5) & (light[1:] <= 0.5)
+    median = depths @ halving.to(depths)
+    with torch.no_grad():
+        doubtful = _doubtful(raw, torch.cat([start, if_taken[:-1]]), if_taken, taken, depths)
+        if median_depth:
+            doubtful = doubtful | _near(light, 0.5, 1e-5).any(dim=0)
+    return weights.T @ colors, alpha_sum, depth, median, doubtful, taken.sum(dim=0)
+
+
+def _near(values: Tensor, threshold: float, tolerance: float) -> Tensor:
+    return (values / threshold - 1).abs() < tolerance
+
+
+def _doubtful(
+    raw: Tensor,  # [M, P] alpha before the clamp
+    before: Tensor,  # [M, P] light
+    behind: Tensor,  # [M, P] light, were all visible Gaussians taken
+    taken: Tensor,  # [M, P]
+    depths: Tensor,  # [M]
+) -> Tensor:  # [P]
+    """Where single precision may decide otherwise: sigma is good to about 1e-5, light to 1 / (1 - alpha) times that.
+
+    The clamp at ALPHA_MAX moves no value, but switches a gradient off. Depths one rounding apart may change places.
+    """
+    reached = before > LIGHT_MIN
+    threshold = _near(raw, ALPHA_MIN, 2e-5) | _near(raw, ALPHA_MAX, 2e-5)
+    stop = _near(behind, LIGHT_MIN, 1e-4) & (raw >= ALPHA_MIN)
+    gaps = torch.diff(depths) / depths[1:]
+    close = (gaps > 0) & (gaps < 1e-6)
+    swap = taken[:-1] & taken[1:] & close[:, None]
+    return (reached & (threshold | stop)).any(dim=0) | swap.any(dim=0)
