@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 import warp as wp
 
+from graphgs.kernels.launch import launch_blocks
 from graphgs.kernels.rasterize.buffers import Frame, Image, Splats, or_empty
 from graphgs.kernels.rasterize.gpu_backward import gather_splats_kernel, gpu_backward_kernel, sums_type
-from graphgs.kernels.rasterize.gpu_forward import THREADS, gpu_forward_kernel
+from graphgs.kernels.rasterize.gpu_forward import gpu_forward_kernel
 from graphgs.kernels.rasterize.gpu_lists import GpuLists, list_tiles
 from graphgs.kernels.rasterize.gpu_room import IntersectionOverflow, Room, shared_room
 
@@ -24,8 +25,8 @@ class GpuState:
     lists: GpuLists
     room: Room
     alphas: wp.array  # [C * H * W]
+    depths: wp.array  # [C * H * W]
     color_sums: wp.array  # [C * H * W] vector of D channels
-    depth_sums: wp.array  # [C * H * W]
     tile_stops: wp.array  # [C * tiles] int
 
 
@@ -41,15 +42,13 @@ def composite_gpu(
 ) -> GpuState:
     """Fill `image`. Unless `exact`, whether it is whole is known in the backward pass (see `gpu_room`)."""
     device = splats.depths.device
-    _require_blocks(device)
     room = shared_room(device) if room is None else room
     lists = list_tiles(splats, radii, frame, room, exact=exact)
     color_sums = wp.empty(image.alphas.size, dtype=image.colors.dtype, device=device)
-    depth_sums = wp.empty(image.alphas.size, dtype=float, device=device)
     tile_stops = wp.empty(lists.tile_ranges.size, dtype=int, device=device)
-    wp.launch_tiled(
+    launch_blocks(
         gpu_forward_kernel(splats.colors.dtype._length_),
-        dim=[lists.tile_ranges.size],
+        lists.tile_ranges.size,
         inputs=[
             splats.means2d,
             splats.conics,
@@ -69,13 +68,11 @@ def composite_gpu(
             image.depths,
             or_empty(image.median_depths, float, device),
             color_sums,
-            depth_sums,
             tile_stops,
         ],
         device=device,
-        block_dim=int(THREADS),
     )
-    return GpuState(lists, room, image.alphas, color_sums, depth_sums, tile_stops)
+    return GpuState(lists, room, image.alphas, image.depths, color_sums, tile_stops)
 
 
 def composite_gpu_backward(
@@ -83,16 +80,15 @@ def composite_gpu_backward(
 ) -> None:
     """Fill `v_splats` where a splat was visible; the rest must be zero before. Raises IntersectionOverflow."""
     device = splats.depths.device
-    _require_blocks(device)
     lists, room = state.lists, state.room
     if lists.count is not None:
         room.check(lists.count)
     channels = splats.colors.dtype._length_
     splat_sums = room.scratch("splat_sums", lists.slots.size, sums_type(channels))
     splat_sums.zero_()
-    wp.launch_tiled(
+    launch_blocks(
         gpu_backward_kernel(channels),
-        dim=[state.tile_stops.size],
+        state.tile_stops.size,
         inputs=[
             splats.means2d,
             splats.conics,
@@ -107,8 +103,8 @@ def composite_gpu_backward(
             frame.height,
             frame.backgrounds,
             state.alphas,
+            state.depths,
             state.color_sums,
-            state.depth_sums,
             v_image.colors,
             v_image.alphas,
             v_image.depths,
@@ -116,7 +112,6 @@ def composite_gpu_backward(
         ],
         outputs=[splat_sums],
         device=device,
-        block_dim=int(THREADS),
     )
     wp.launch(
         gather_splats_kernel(channels),
@@ -132,10 +127,3 @@ def composite_gpu_backward(
         ],
         device=device,
     )
-
-
-def _require_blocks(device: wp.Device) -> None:
-    if device.is_cpu and not wp.config.enable_cpu_blocks:
-        raise RuntimeError(
-            "the GPU's shape on a CPU needs warp.config.enable_cpu_blocks = True: a block would silently be one thread"
-        )

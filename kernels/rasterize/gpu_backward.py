@@ -83,8 +83,8 @@ def gpu_backward_kernel(channels: int):
         backgrounds: wp.array[vecD],  # [C]
         # Rendered, and cotangents, [C * H * W]
         render_alphas: wp.array[float],
+        render_depths: wp.array[float],
         color_sums: wp.array[vecD],
-        depth_sums: wp.array[float],
         v_colors: wp.array[vecD],
         v_alphas: wp.array[float],
         v_depths: wp.array[float],
@@ -104,13 +104,12 @@ def gpu_backward_kernel(channels: int):
             if alpha_sum > 0.0:
                 v_color = v_colors[index]
                 v_depth = v_depths[index] / alpha_sum
-                v_weight = v_alphas[index] - wp.dot(v_color, backgrounds[c]) - v_depth * depth_sums[index] / alpha_sum
-                remaining = v_weight * alpha_sum + v_depth * depth_sums[index] + wp.dot(v_color, color_sums[index])
-                light = wp.vec2(1.0, remaining)
+                v_light = v_alphas[index] - wp.dot(v_color, backgrounds[c])
+                light = wp.vec2(1.0, v_light * alpha_sum + wp.dot(v_color, color_sums[index]))
                 v_median_depth = float(0.0)
                 if v_median_depths.shape[0] > 0:
                     v_median_depth = v_median_depths[index]
-                pull = wp.vec3(v_depth, v_weight, v_median_depth)
+                pull = wp.vec3(v_depth, v_light - v_depth * render_depths[index], v_median_depth)
         lights = wp.tile(light, preserve_type=True)
         pulls = wp.tile(pull, preserve_type=True)
         # A record: mean, opacity, depth, conic, colour. Each group takes 32 of them at a time.

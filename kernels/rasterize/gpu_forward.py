@@ -52,7 +52,6 @@ def gpu_forward_kernel(channels: int):
         render_depths: wp.array[float],
         median_depths: wp.array[float],  # or empty
         color_sums: wp.array[vecD],  # sum of w * color, without background
-        depth_sums: wp.array[float],  # sum of w * depth
         # Out
         tile_stops: wp.array[int],  # [C * tiles] past the last intersection that a pixel took
     ):
@@ -69,6 +68,7 @@ def gpu_forward_kernel(channels: int):
         depth = float(0.0)
         median_depth = float(0.0)
         transmittance = float(1.0)
+        weight_sum = float(0.0)  # 1 - transmittance, without the rounding of 1, which a faint pixel's depth would show
         first = tile_ranges[tile][0]
         last = tile_ranges[tile][1]
         stop = int(first)
@@ -101,6 +101,7 @@ def gpu_forward_kernel(channels: int):
                 weight = alpha * transmittance
                 color += weight * colors[wp.tile_extract(ids, k)]
                 depth += weight * here[3]
+                weight_sum += weight
                 if halves_light(transmittance, behind):
                     median_depth = here[3]
                 transmittance = behind
@@ -113,10 +114,9 @@ def gpu_forward_kernel(channels: int):
             alpha_sum = 1.0 - transmittance
             render_colors[index] = color + transmittance * backgrounds[c]
             render_alphas[index] = alpha_sum
-            render_depths[index] = wp.where(alpha_sum > 0.0, depth / alpha_sum, 0.0)
+            render_depths[index] = wp.where(weight_sum > 0.0, depth / weight_sum, 0.0)
             if median_depths.shape[0] > 0:
                 median_depths[index] = median_depth
             color_sums[index] = color
-            depth_sums[index] = depth
 
     return gpu_forward
