@@ -27,6 +27,9 @@ class Workload:
 
 WORKLOADS = {
     "rasterize": Workload("rasterize", "rasterize, forward and backward"),
+    "gpu-static": Workload(
+        "gpu_static", "what the compiler says about the GPU's kernels; needs no GPU", same_everywhere=True
+    ),
 }
 
 
@@ -49,7 +52,8 @@ def main() -> int:
         report(metrics, baseline, changes_only=workload.same_everywhere)
         regressed += [m.name for m in metrics if m.name in baseline and m.regressed(baseline[m.name])]
         if args.update_baseline:
-            print(f"wrote {update_baseline(store, metrics, environment)}")
+            versions = {"warp": wp.__version__} if workload.same_everywhere else environment
+            print(f"wrote {update_baseline(store, metrics, versions)}")
         elif args.gate and not any(m.name in baseline for m in metrics):
             print(f"{name}: no baseline for {store}, nothing to compare with (--update-baseline makes one)")
     if regressed:

@@ -9,7 +9,7 @@ import warp as wp
 
 from graphgs.kernels.reproject.matching import compare_pixel
 
-wp.set_module_options({"enable_backward": False})
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 THREADS = wp.constant(256)  # of a block
 

@@ -13,7 +13,7 @@ import warp as wp
 
 from graphgs.kernels.ssim.window import RADIUS, TAPS, l1_slope, ssim_terms
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 0})
+wp.set_module_options({"enable_backward": False, "max_unroll": 0, "default_grid_stride": False})
 
 TILE = wp.constant(16)  # [px]
 THREADS = wp.constant(TILE * TILE)  # of a block: one per pixel of the tile
