@@ -33,12 +33,14 @@ _NAMES_SHOWN = 10
 def check(source: Path, options: Options) -> Iterator[str]:
     """Lines about the input. Raises DataError where a run could not work."""
     config = settings(options)
-    found = scan(source)
+    found = scan(source, rigs=config.sources.rigs == "auto")
     yield f"{found.root}: {len(found.names)} usable photos ({found.kind})"
     for (width, height), count in Counter(map(tuple, found.sizes.tolist())).most_common(_NAMES_SHOWN):
         yield f"  {count} of {width} x {height} px"
     if found.masks:
         yield f"  {found.masks} with a mask"
+    for rig in found.rigs:
+        yield f"  {rig.description}"
     if found.note:
         yield f"  {found.note}"
     for skipped in found.skipped[:_NAMES_SHOWN]:

@@ -65,7 +65,7 @@ _AT_LEAST = {"structure.fine_first_octave": -1} | dict.fromkeys(
         "training.steps", "training.max_splats", "training.sh_degree_interval", "training.densify_interval",
         "training.opacity_reset_interval", "training.consistency_interval", "pairing.r", "pairing.w",
         "structure.retrieval_words", "structure.coarse_features", "structure.coarse_retry_features",
-        "structure.fine_features", "structure.chunk_pairs", "points.target",
+        "structure.fine_features", "structure.chunk_pairs", "points.target", "sources.focal_px",
     ), 1,
 ) | dict.fromkeys(
     (

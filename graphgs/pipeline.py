@@ -36,7 +36,7 @@ from graphgs.training import train
 from graphgs.training.stats import TrainStats
 from graphgs.workspace import Outcome, Stage, Workspace
 
-PHOTOS = Stage(1, "photos", 1)
+PHOTOS = Stage(1, "photos", 2)
 COARSE = Stage(2, "coarse", 1)
 PAIRS = Stage(3, "pairs", 1)
 MATCHES = Stage(4, "matches", 1)
@@ -279,7 +279,7 @@ def _photos(run: Run) -> Photos:
             sources, run.source, folder, reporter=run.reporter, threads=run.threads, exclude=run.workspace.output
         ),
         Photos.load,
-        source_key=fingerprint(run.source, exclude=run.workspace.output),
+        source_key=fingerprint(run.source, exclude=run.workspace.output, rigs=sources.rigs == "auto"),
     )
 
 

@@ -9,15 +9,20 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from graphgs.errors import DataError, UsageError
-from graphgs.scene.colmap import find_model
+from graphgs.scene.colmap import find_model, read_model
+from graphgs.sources.decode import UnusableError, read_header
 from graphgs.sources.listing import OUTPUT_MARK, find_masks, holds_photos, list_photos
 from graphgs.sources.photos import Skipped
+from graphgs.sources.rigs import LEAST_FRAMES, find_rigs
 from graphgs.sources.trajectory import is_kitti
 from graphgs.sources.transforms import Transforms, read_transforms
 
 IMAGE_FOLDERS = ("images", "image_2", "image_0", "image_02", "image_00")  # the first that exists; KITTI's after ours
 POSE_FILES = ("transforms.json", "transforms_train.json", "poses.txt")
+GREY_TWINS = {"image_0", "image_1", "image_00", "image_01"}  # of KITTI's colour cameras, left out where those are
 
 
 @dataclass(frozen=True)
@@ -34,8 +39,9 @@ class Layout:
     note: str = ""  # poses in use, or lying beside the photos unused
 
 
-def find_layout(source: Path, *, exclude: Path | None = None) -> Layout:
-    """Decide what `source` is. `exclude` is a folder below it that holds no input, such as this run's output."""
+def find_layout(source: Path, *, exclude: Path | None = None, rigs: bool = True) -> Layout:
+    """Decide what `source` is. `exclude` is a folder below it that holds no input, such as this run's output. With
+    `rigs`, folders beside images/ that hold the same frames (images_right/) are cameras of a rig and belong to it."""
     if not source.exists():
         raise UsageError(
             f"{source}: does not exist", hint="INPUT is a folder of photos, or a file of poses beside them"
@@ -44,10 +50,13 @@ def find_layout(source: Path, *, exclude: Path | None = None) -> Layout:
         return _pose_file(source, exclude)
     model = find_model(source)
     if model == source and not holds_photos(source):
-        return _bare_model(source, exclude)
+        return _bare_model(source, exclude, rigs)
     if model is not None and (source / "images").is_dir() and (source / "sparse") in (model, model.parent):
         return _photos(source / "images", exclude, kind="colmap", poses=model, note=f"poses from {_short(model)}")
     root = photo_root(source)
+    cameras = _camera_folders(source, root) if rigs and root != source else ()
+    if cameras:
+        return _photos(source, exclude, only=cameras, note="; ".join(_unused(source, root, cameras)))
     return _photos(root, exclude, note="; ".join(_unused(source, root)))
 
 
@@ -60,8 +69,42 @@ def photo_root(folder: Path) -> Path:
     return folder
 
 
-def _photos(root: Path, exclude: Path | None, **fields) -> Layout:
-    names, refused = list_photos(root, exclude=exclude)
+def _camera_folders(source: Path, root: Path) -> tuple[str, ...]:
+    """Folders in `source`, `root` among them, that are the cameras of one rig by names and sizes; () if there is none.
+    Beside images/ only image* count: depth/ and the like hold the same frames too."""
+    places = [p for p in sorted(source.iterdir()) if p.name.lower().startswith("image") and holds_photos(p)]
+    if root.name not in GREY_TWINS:
+        places = [p for p in places if p.name not in GREY_TWINS]
+    names, sizes = [], []
+    for place in places:
+        own = [f"{place.name}/{name}" for name in list_photos(place)[0] if "/" not in name]
+        size = _first_size(source, own)
+        if size is not None:
+            names += own
+            sizes += [size] * len(own)
+    rigs = find_rigs(tuple(names), np.array(sizes).reshape(-1, 2))
+    return next((rig.folders for rig in rigs if root.name in rig.folders), ())
+
+
+def _first_size(root: Path, names: list[str]) -> tuple[int, int] | None:
+    """[px] of the first photo that can be read: files that cannot are named later, by the one decoder."""
+    for name in names[:LEAST_FRAMES]:
+        try:
+            header = read_header(root / name)
+        except UnusableError:
+            continue
+        return header.width, header.height
+    return None
+
+
+def _photos(root: Path, exclude: Path | None, only: tuple[str, ...] = (), **fields) -> Layout:
+    """The photos below `root`, or `only` those below some of its folders."""
+    names, refused = (), ()
+    for folder in only or (".",):
+        own, not_own = list_photos(root / folder, exclude=exclude)
+        prefix = f"{folder}/" if only else ""
+        names += tuple(prefix + name for name in own)
+        refused += tuple(Skipped(prefix + skipped.name, skipped.reason) for skipped in not_own)
     if not names:
         more = f" ({len(refused)} files cannot be read, e.g. {refused[0].name}: {refused[0].reason})" if refused else ""
         raise DataError(
@@ -72,8 +115,9 @@ def _photos(root: Path, exclude: Path | None, **fields) -> Layout:
     )
 
 
-def _unused(source: Path, root: Path) -> list[str]:
+def _unused(source: Path, root: Path, cameras: tuple[str, ...] = ()) -> list[str]:
     """Sentences about poses and photos that lie in `source` and are not used."""
+    used = {root.name, *cameras}
     notes = [
         f"{name} lies beside the photos and was not used; give it as INPUT to use its poses"
         for name in POSE_FILES
@@ -85,17 +129,23 @@ def _unused(source: Path, root: Path) -> list[str]:
         place = model.relative_to(source).as_posix()
         notes.append(f"{place} holds camera poses and was not used; give it as INPUT to use them")
     if root != source:
-        others = [p.name + "/" for p in folders if p != root and p.name != "masks" and holds_photos(p)]
+        others = [p.name + "/" for p in folders if p.name not in {*used, "masks"} and holds_photos(p)]
         if others:
-            notes.append(f"photos in {', '.join(others)} were not used, only those in {root.name}/")
+            here = ", ".join(f"{name}/" for name in sorted(used))
+            notes.append(f"photos in {', '.join(others)} were not used, only those in {here}")
     return notes
 
 
-def _bare_model(model: Path, exclude: Path | None) -> Layout:
-    """A COLMAP model given by itself: its photos lie in images/ of the folder around it."""
+def _bare_model(model: Path, exclude: Path | None, rigs: bool) -> Layout:
+    """A COLMAP model given by itself: its photos lie in images/ of the folder around it, and in the folders beside
+    images/ that it names."""
     for folder in list(model.absolute().parents)[:3]:
         if (folder / "images").is_dir():
-            return _photos(folder / "images", exclude, kind="colmap", poses=model, note=f"poses from {_short(model)}")
+            fields = {"kind": "colmap", "poses": model, "note": f"poses from {_short(model)}"}
+            cameras = _camera_folders(folder, folder / "images") if rigs else ()
+            if cameras and {name.partition("/")[0] for name in read_model(model).names} == set(cameras):
+                return _photos(folder, exclude, only=cameras, **fields)
+            return _photos(folder / "images", exclude, **fields)
     raise DataError(
         f"{model}: a COLMAP model without photos",
         hint="put the photos into images/ beside it, or give a folder of photos",

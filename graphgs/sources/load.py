@@ -26,6 +26,7 @@ from graphgs.sources.given import fit_to_photos
 from graphgs.sources.layout import Layout, find_layout
 from graphgs.sources.photos import Photo, Photos, Skipped
 from graphgs.sources.poses import given_poses
+from graphgs.sources.rigs import find_rigs
 
 LEAST_PHOTOS = 3  # a scene needs three views
 SHOWN = 5  # skipped files spelled out in messages
@@ -46,7 +47,7 @@ def load_photos(
     run's own output. The same input gives the same files and names for any number of threads.
     Raises UsageError for a missing input, DataError with fewer than 3 usable photos or unusable poses.
     """
-    layout = find_layout(source, exclude=exclude)
+    layout = find_layout(source, exclude=exclude, rigs=config.rigs == "auto")
     _make(folder / "photos")
     _make(folder / "masks")
     with decoding():
@@ -55,7 +56,9 @@ def load_photos(
     skipped = tuple(sorted((*layout.refused, *skipped), key=lambda s: s.name))
     _check_enough(source, photos, skipped)
     given = fit_to_photos(poses, photos) if poses is not None else None
-    result = Photos(folder, photos, skipped, given, layout.note)
+    sizes = np.array([(photo.original_width, photo.original_height) for photo in photos])
+    rigs = find_rigs(tuple(photo.name for photo in photos), sizes) if config.rigs == "auto" else ()
+    result = Photos(folder, photos, skipped, given, layout.note, rigs)
     for file in skipped[:SHOWN]:
         reporter.warn(f"{file.name}: skipped: {file.reason}")
     if len(skipped) > SHOWN:
@@ -68,6 +71,8 @@ def load_photos(
         )
     if layout.note:
         reporter.info(layout.note)
+    for rig in rigs:
+        reporter.info(rig.description)
     reporter.event(
         "photos",
         usable=len(photos),
@@ -75,6 +80,7 @@ def load_photos(
         masks=sum(photo.mask is not None for photo in photos),
         duplicates=sum(len(group) - 1 for group in result.duplicates),
         given=len(given.names) if given is not None else 0,
+        rigs=[list(rig.folders) for rig in rigs],
     )
     return result
 
@@ -145,7 +151,7 @@ def _one(config: SourcesConfig, layout: Layout, folder: Path, budget: _PixelBudg
         original_width=header.width,
         original_height=header.height,
         mask=f"masks/{file}" if mask is not None else None,
-        focal_px=exif.focal_px(width, height),
+        focal_px=config.focal_px * width / header.width if config.focal_px else exif.focal_px(width, height),
         camera_key=f"{PurePosixPath(name).parent}|{header.width}x{header.height}|{exif.camera}",
         sha256=hashlib.sha256(data).hexdigest(),
         gps=exif.gps,

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from graphgs.scene.reconstruction import Reconstruction
+from graphgs.sources.rigs import Rig
 
 TEST_EVERY = 8  # every 8th photo by name is held out (the field's split since Mip-NeRF 360)
 
@@ -23,7 +24,7 @@ class Photo:
     original_width: int  # [px] of the file, after EXIF rotation
     original_height: int
     mask: str | None  # PNG of the decoded size, 0 = ignore; None = every pixel counts
-    focal_px: float | None  # [px] at the decoded size, from EXIF
+    focal_px: float | None  # [px] at the decoded size, from EXIF or a setting
     camera_key: str  # photos of equal key share their intrinsics
     sha256: str  # of the original file
     gps: tuple[float, float, float] | None  # latitude, longitude [deg, WGS84], altitude [m, 0 if not given]
@@ -55,6 +56,7 @@ class Photos:
     skipped: tuple[Skipped, ...] = ()
     given: Reconstruction | None = None  # poses the input carries; cameras at the decoded size, names = photo names
     given_note: str = ""  # where `given` comes from, or which poses lie beside the photos and were not used
+    rigs: tuple[Rig, ...] = ()  # cameras that seem to have moved together
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -83,6 +85,7 @@ class Photos:
             "skipped": [dataclasses.asdict(skipped) for skipped in self.skipped],
             "given": self.given is not None,
             "given_note": self.given_note,
+            "rigs": [{"folders": rig.folders, "photos": rig.photos.tolist()} for rig in self.rigs],
         }
         (folder / "photos.json").write_text(json.dumps(header, indent=1))
 
@@ -96,4 +99,5 @@ class Photos:
             skipped=tuple(Skipped(**s) for s in header["skipped"]),
             given=Reconstruction.load(folder / "given") if header["given"] else None,
             given_note=header["given_note"],
+            rigs=tuple(Rig(tuple(r["folders"]), np.array(r["photos"], dtype=np.int64)) for r in header["rigs"]),
         )

@@ -9,6 +9,7 @@ import numpy as np
 from graphgs.sources.decode import UnusableError, decoding, read_header
 from graphgs.sources.layout import find_layout
 from graphgs.sources.photos import Skipped
+from graphgs.sources.rigs import Rig, find_rigs
 
 
 @dataclass(frozen=True)
@@ -22,11 +23,12 @@ class Scan:
     skipped: tuple[Skipped, ...]
     masks: int  # photos with a mask file
     note: str  # poses in use, or lying beside the photos unused
+    rigs: tuple[Rig, ...]  # cameras that seem to have moved together
 
 
-def scan(source: Path, *, exclude: Path | None = None) -> Scan:
+def scan(source: Path, *, exclude: Path | None = None, rigs: bool = True) -> Scan:
     """List the photos of `source` by their headers. Raises like `load_photos` for what can be seen without decoding."""
-    layout = find_layout(source, exclude=exclude)
+    layout = find_layout(source, exclude=exclude, rigs=rigs)
     names, sizes, skipped = [], [], list(layout.refused)
     with decoding():
         for name in layout.names:
@@ -37,24 +39,26 @@ def scan(source: Path, *, exclude: Path | None = None) -> Scan:
                 continue
             names.append(name)
             sizes.append((header.width, header.height))
+    extents = np.array(sizes, dtype=np.int64).reshape(-1, 2)
     return Scan(
         kind=layout.kind,
         root=layout.root,
         names=tuple(names),
-        sizes=np.array(sizes, dtype=np.int64).reshape(-1, 2),
+        sizes=extents,
         skipped=tuple(sorted(skipped, key=lambda s: s.name)),
         masks=len(layout.masks),
         note=layout.note,
+        rigs=find_rigs(tuple(names), extents) if rigs else (),
     )
 
 
-def fingerprint(source: Path, *, exclude: Path | None = None, quick: bool = False) -> str:
+def fingerprint(source: Path, *, exclude: Path | None = None, rigs: bool = True, quick: bool = False) -> str:
     """SHA-256 over names and contents of all files the input consists of: the key of the sources stage.
 
     `quick` takes sizes and modification times instead of contents: it changes more often than the contents do, but
     costs no reading.
     """
-    layout = find_layout(source, exclude=exclude)
+    layout = find_layout(source, exclude=exclude, rigs=rigs)
     files = {f"photo {name}": layout.root / name for name in layout.names}
     files |= {f"mask {name}": path for name, path in layout.masks.items()}
     if layout.poses is not None:

@@ -78,7 +78,7 @@ def write_transforms(folder, frames: list, **fields):
 
 def test_poses_beside_photos_are_named_not_used(tmp_path):
     names = write_photos(tmp_path / "images", 3)
-    write_photos(tmp_path / "images_right", 3)
+    write_photos(tmp_path / "more", 3)
     write_transforms(tmp_path, [frame(f"images/{name}") for name in names])
     write_model(posed(names), tmp_path / "gt_colmap")
     photos = load(tmp_path, tmp_path.parent / "out")
@@ -86,7 +86,7 @@ def test_poses_beside_photos_are_named_not_used(tmp_path):
     assert photos.names == tuple(names)
     assert "transforms.json lies beside the photos and was not used; give it as INPUT" in photos.given_note
     assert "gt_colmap holds camera poses and was not used" in photos.given_note
-    assert "photos in images_right/ were not used" in photos.given_note
+    assert "photos in more/ were not used" in photos.given_note
 
 
 def test_a_colmap_project_keeps_its_poses(tmp_path):
