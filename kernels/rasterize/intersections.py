@@ -1,4 +1,5 @@
-"""Which Gaussians meet which tile, front to back: the form for a GPU (duplicate, sort by tile and depth, find ranges).
+"""Which Gaussians meet which tile, front to back: the plain shape's form (duplicate, sort by tile and depth, find
+ranges).
 
 Equal depths keep the order of the Gaussians: the sort is stable.
 """
