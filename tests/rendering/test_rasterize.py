@@ -97,3 +97,19 @@ def test_only_what_is_asked_for_gets_a_gradient():
         leaves[name].requires_grad_()
         scene.render(rasterize, leaves).colors.sum().backward()
         assert leaves[name].grad.abs().sum() > 0, name
+
+
+def test_a_render_keeps_its_gradient_while_others_are_made(shape, device):
+    """Memory that kernels keep between steps is not a render's own."""
+    scenes = [make_scene(20, 16, 16, seed=22), make_scene(60, 33, 17, cameras=2, seed=23), make_scene(0)]
+    alone, together = [], []
+    for scene in scenes:
+        leaves = scene.leaves(torch.float32, device)
+        out = scene.render(rasterize, leaves, shape=shape)
+        alone.append(pull_back(out, cotangents(out), leaves))
+    leaves = [scene.leaves(torch.float32, device) for scene in scenes]
+    outputs = [scene.render(rasterize, operands, shape=shape) for scene, operands in zip(scenes, leaves, strict=True)]
+    for out, operands in zip(outputs, leaves, strict=True):
+        together.append(pull_back(out, cotangents(out), operands))
+    for one, other in zip(alone, together, strict=True):
+        assert all(distance(other[name], one[name]) < 1e-5 for name in one)  # the order of atomics may differ
