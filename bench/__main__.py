@@ -14,6 +14,7 @@ from pathlib import Path
 import torch
 import warp as wp
 
+import graphgs.kernels.launch  # noqa: F401 - starts Warp, without its banner
 from bench.baselines import device_name, load_baseline, update_baseline
 from bench.metrics import Metric
 
@@ -27,6 +28,9 @@ class Workload:
 
 WORKLOADS = {
     "rasterize": Workload("rasterize", "rasterize, forward and backward"),
+    "ssim": Workload("ssim", "photometric loss, forward and backward"),
+    "reproject": Workload("reproject", "consistency loss, forward and backward"),
+    "octree": Workload("octree", "pruning 300,000 points"),
     "gpu-static": Workload(
         "gpu_static", "what the compiler says about the GPU's kernels; needs no GPU", same_everywhere=True
     ),

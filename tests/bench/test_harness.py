@@ -1,10 +1,12 @@
 """What the benchmark's gate decides, and what its baselines keep."""
 
 import math
+from importlib import import_module
 
 import pytest
 
 from bench import baselines
+from bench.__main__ import WORKLOADS
 from bench.metrics import Metric
 
 
@@ -40,3 +42,8 @@ def test_baselines_keep_what_did_not_run(tmp_path, monkeypatch):
     baselines.update_baseline("A processor, 2 CPUs", [Metric("y", 3.0, "ms", "lower", 0.1)], new)
     assert baselines.load_baseline("A processor, 2 CPUs") == {"x": 1.0, "y": 3.0}
     assert baselines.load_baseline("A processor, 2 CPUs", warp="2") == {"y": 3.0}
+
+
+@pytest.mark.parametrize("name", WORKLOADS)
+def test_every_workload_can_be_run(name):
+    assert callable(import_module(f"bench.{WORKLOADS[name].module}").run)
