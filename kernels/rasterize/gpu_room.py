@@ -60,7 +60,8 @@ class Room:
         """An array of `size` elements of any content; it belongs to the caller until the next one asks by that name."""
         array = self._scratch.get((name, dtype))
         if array is None or array.size < size:
-            array = self._scratch[name, dtype] = wp.empty(size, dtype=dtype, device=self.device)
+            # At least one element: an empty array cannot be sliced.
+            array = self._scratch[name, dtype] = wp.empty(max(size, 1), dtype=dtype, device=self.device)
         return array[:size]
 
     def send(self, source: wp.array) -> Count:  # [1] int
