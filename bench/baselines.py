@@ -33,23 +33,35 @@ def baseline_path(device: str) -> Path:
 
 def load_baseline(
     device: str,
+    metrics: Sequence[Metric],
     *,
     warp: str | None = None,  # leave out what another version of Warp was measured with
 ) -> dict[str, float]:
-    """Values by metric name; empty for a device without a baseline."""
+    """Values by metric name, of those that may be compared; a ratio to another yardstick may not."""
     stored = _stored(device)
-    return {name: entry["value"] for name, entry in stored.items() if warp in (None, entry["warp"])}
+    return {
+        m.name: stored[m.name]["value"]
+        for m in metrics
+        if m.name in stored
+        and stored[m.name].get("yardstick", "") == m.yardstick
+        and warp in (None, stored[m.name]["warp"])
+    }
 
 
 def update_baseline(device: str, metrics: Sequence[Metric], environment: dict[str, str]) -> Path:
     """Write these metrics; those of workloads that did not run stay as they are."""
-    stored = _stored(device) | {m.name: {"value": round(m.value, 3), "unit": m.unit, **environment} for m in metrics}
+    stored = _stored(device) | {m.name: _entry(m) | environment for m in metrics}
     # a line per metric, so that a diff reads like the table
     lines = (f"  {json.dumps(name)}: {json.dumps(stored[name])}" for name in sorted(stored))
     path = baseline_path(device)
     path.parent.mkdir(exist_ok=True)
     path.write_text(f'{{"device": {json.dumps(device)}, "metrics": {{\n' + ",\n".join(lines) + "\n}}\n")
     return path
+
+
+def _entry(metric: Metric) -> dict:
+    entry = {"value": round(metric.value, 3), "unit": metric.unit}
+    return entry | ({"yardstick": metric.yardstick} if metric.yardstick else {})
 
 
 def _stored(device: str) -> dict[str, dict]:

@@ -12,6 +12,7 @@ class Metric:
     unit: str
     direction: Literal["lower", "higher"]  # which is better
     tolerance: float  # relative change for the worse that is still no regression
+    yardstick: str = ""  # of a ratio: the hash of what the time is divided by; another makes another metric
 
     def change(self, baseline: float) -> float:
         """Relative change against a baseline; positive is worse. Leaving 0 for the worse is a change without limit."""

@@ -33,15 +33,28 @@ def test_a_metric_regresses_past_its_tolerance():
     assert Metric("m", 8, "B", "lower", 0.1).regressed(0)
 
 
-def test_baselines_keep_what_did_not_run(tmp_path, monkeypatch):
+def metric(name, value=1.0, **options):
+    return Metric(name, value, "ms", "lower", 0.1, **options)
+
+
+@pytest.fixture
+def stored(tmp_path, monkeypatch):
+    """x measured by Warp 1, y by Warp 2, r against the yardstick abc."""
     monkeypatch.setattr(baselines, "FOLDER", tmp_path / "baselines")
-    old, new = {"commit": "a", "warp": "1"}, {"commit": "b", "warp": "2"}
-    assert baselines.load_baseline("A processor, 2 CPUs") == {}
-    first = [Metric("x", 1.0, "ms", "lower", 0.1), Metric("y", 2.0, "ms", "lower", 0.1)]
-    baselines.update_baseline("A processor, 2 CPUs", first, old)
-    baselines.update_baseline("A processor, 2 CPUs", [Metric("y", 3.0, "ms", "lower", 0.1)], new)
-    assert baselines.load_baseline("A processor, 2 CPUs") == {"x": 1.0, "y": 3.0}
-    assert baselines.load_baseline("A processor, 2 CPUs", warp="2") == {"y": 3.0}
+    baselines.update_baseline("A processor, 2 CPUs", [metric("x", 1), metric("y", 2)], {"warp": "1"})
+    baselines.update_baseline("A processor, 2 CPUs", [metric("y", 3), metric("r", 9, yardstick="abc")], {"warp": "2"})
+    return lambda metrics, **options: baselines.load_baseline("A processor, 2 CPUs", metrics, **options)
+
+
+def test_baselines_keep_what_did_not_run(stored):
+    assert stored([metric("x"), metric("y"), metric("unknown")]) == {"x": 1, "y": 3}
+    assert baselines.load_baseline("Another processor", [metric("x")]) == {}
+
+
+def test_what_may_not_be_compared_has_no_baseline(stored):
+    assert stored([metric("x"), metric("y")], warp="2") == {"y": 3}
+    assert stored([metric("r", yardstick="abc")]) == {"r": 9}
+    assert stored([metric("r", yardstick="def")]) == {}
 
 
 @pytest.mark.parametrize("name", WORKLOADS)
