@@ -76,7 +76,7 @@ class Room:
 
     def fit(self, count: int) -> None:
         """Make room for `count` intersections, and more, since Gaussians move."""
-        if count + count // 8 > self.capacity:
+        if count + count // 8 >= self.capacity:  # also at 0, as Warp has no slice of an empty array
             self.capacity = count + count // 2 + 256
 
     def check(self, count: Count) -> None:
