@@ -48,9 +48,9 @@ class Count:
 class Room:
     """Scratch arrays of one device and stream; they only grow."""
 
-    def __init__(self, device, *, capacity: int = 0, deferred: bool) -> None:
+    def __init__(self, device, *, deferred: bool) -> None:
         self.device = wp.get_device(device)
-        self.capacity = capacity  # intersections
+        self.capacity = 0  # intersections
         self.deferred = deferred  # whether counts are looked at afterwards
         self._scratch: dict[tuple, wp.array] = {}
         self._seen: tuple[int, ...] | None = None
