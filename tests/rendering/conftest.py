@@ -1,7 +1,17 @@
 """Fixtures of the rasterizer's tests."""
 
 import pytest
+import torch
 import warp as wp
+
+
+@pytest.fixture(autouse=True)
+def one_torch_thread():
+    """The twin's tensors are small: on a busy machine torch's threads wait for each other most of the time."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
 
 
 @pytest.fixture(params=["pixels", "tiles", "gpu"])

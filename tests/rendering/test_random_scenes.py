@@ -13,23 +13,21 @@ from tests.support.agreement import Agreement, Expected, compare, expect
 from tests.support.gaussians import Scene
 from tests.support.random_scenes import CHANNELS, random_scene
 
-ORDINARY, ALL, TINY = range(40), range(500), range(6)
+ORDINARY, ALL = range(40), range(500)
 DIFFERING = 1e-3  # share of pixels that may show a threshold decided otherwise than in float64
 
 
 @cache
-def case(seed: int, tiny: bool) -> tuple[Scene, Expected]:
-    scene = random_scene(seed, tiny=tiny)
+def case(seed: int) -> tuple[Scene, Expected]:
+    scene = random_scene(seed)
     return scene, expect(scene)
 
 
-def survey(
-    seeds: Iterable[int], *, shape: str, device: str, dtype: torch.dtype = torch.float32, tiny: bool = False
-) -> str:
+def survey(seeds: Iterable[int], *, shape: str, device: str, dtype: torch.dtype = torch.float32) -> str:
     """Hold all scenes within their bounds, together; a table of the worst."""
     found = {}
     for seed in seeds:
-        scene, expected = case(seed, tiny)
+        scene, expected = case(seed)
         found[seed] = compare(scene, expected, shape=shape, dtype=dtype, device=device)
     missed = [f"seed {seed}: {miss}" for seed, agreement in found.items() for miss in agreement.misses()]
     assert not missed, "\n".join(missed)
@@ -54,8 +52,7 @@ def worst(found: dict[int, Agreement]) -> str:
 
 
 def test_forty_scenes_equal_the_twin(shape, device):
-    tiny = shape == "gpu" and device == "cpu"  # where a block's threads take turns
-    survey(TINY if tiny else ORDINARY, shape=shape, device=device, tiny=tiny)
+    survey(ORDINARY, shape=shape, device=device)
 
 
 def test_forty_scenes_in_float64_equal_the_twin(device):
@@ -64,8 +61,7 @@ def test_forty_scenes_in_float64_equal_the_twin(device):
 
 @pytest.mark.slow
 def test_five_hundred_scenes_equal_the_twin(shape, device, capsys):
-    tiny = shape == "gpu" and device == "cpu"
-    table = survey(ALL, shape=shape, device=device, tiny=tiny)
+    table = survey(ALL, shape=shape, device=device)
     with capsys.disabled():
         print(f"\n{shape} on {device}: {table}")
 

@@ -35,12 +35,12 @@ class Draw:
         return self.uniform(math.log(low), math.log(high), *shape).exp().float().double()
 
 
-def random_scene(seed: int, *, tiny: bool = False) -> Scene:
-    """A scene of up to 120 Gaussians, three cameras, and 64 x 48 px; `tiny` has 12, two, and 17 x 17 px."""
+def random_scene(seed: int) -> Scene:
+    """A scene of up to 120 Gaussians, three cameras, and 64 x 48 px."""
     draw = Draw(seed)
-    width, height = draw.choice(SIZES[:3] + ((17, 17),) if tiny else SIZES)
-    cameras = draw.choice((1, 2) if tiny else (1, 1, 2, 3))
-    n = draw.choice((3, 12) if tiny else (0, 1, 5, 20, 60, 120))
+    width, height = draw.choice(SIZES)
+    cameras = draw.choice((1, 1, 2, 3))
+    n = draw.choice((0, 1, 5, 20, 60, 120))
     focal = float(draw.between(0.5, 2.0)) * max(width, height)
 
     kinds = draw.choices.sample(KINDS, draw.choices.randint(1, len(KINDS)))
