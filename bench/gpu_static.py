@@ -51,7 +51,7 @@ def _metrics(prefix: str, use: Usage) -> list[Metric]:
         Metric(f"{prefix}/registers", use.registers, "", "lower", 0.1),
         Metric(f"{prefix}/stack", use.stack, "B", "lower", 0),
         Metric(f"{prefix}/local", use.local, "B", "lower", 0),
-        Metric(f"{prefix}/occupancy", 100 * use.occupancy, "%", "higher", 0),
+        Metric(f"{prefix}/occupancy", round(100 * use.occupancy, 1), "%", "higher", 0),
     ]
 
 
