@@ -31,14 +31,9 @@ def every(step: int) -> torch.Tensor:  # [1, 16, 16] bool
 
 
 def test_twenty_thousand_in_a_tile(shape, device):
-    if shape == "gpu" and device == "cpu":
-        check(crowded(2_000, 30.0), shape, device, every(1))  # where a block's threads take turns
-    else:
-        check(crowded(20_000, 3.0), shape, device, every(2))
+    check(crowded(20_000, 3.0), shape, device, every(2))
 
 
 @pytest.mark.slow
 def test_a_million_in_a_tile(shape, device):
-    if shape == "gpu" and device == "cpu":
-        pytest.skip("a block's threads take turns on the CPU: hours")
     check(crowded(1_000_000, 1.1), shape, device, every(31))
