@@ -29,7 +29,8 @@ class RunConfig:
     seed: int = 0
     """Of everything that draws."""
     prior: str = "auto"
-    """Coarse poses that choose the pairs: auto (from the photos), sequence (file order), gps (EXIF), poses=FILE."""
+    """Coarse poses that choose the pairs: auto (from the photos), sequence (file order), gps (EXIF), gps=FILE (CSV or
+    GeoJSON), poses=FILE. GPS also makes the result metric, with z up and y north."""
     allow_partial: bool = False
     """Train also when only part of the photos could be placed."""
 
@@ -60,7 +61,7 @@ PRESETS: dict[Preset, dict[str, dict[str, Any]]] = {
 }
 
 # What numbers may be: at least 0, shares at most 1, and otherwise as said here.
-_AT_LEAST = {"structure.fine_first_octave": -1} | dict.fromkeys(
+_AT_LEAST = {"structure.fine_first_octave": -1, "structure.rig_baseline_m": 1e-4} | dict.fromkeys(
     (
         "training.steps", "training.max_splats", "training.sh_degree_interval", "training.densify_interval",
         "training.opacity_reset_interval", "training.consistency_interval", "pairing.r", "pairing.w",

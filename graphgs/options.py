@@ -25,7 +25,8 @@ class Options:
     threads: int | None = None
     """CPU threads; default: the CPUs this process may use."""
     prior: str | None = None
-    """What chooses the pairs: auto, sequence, gps, poses=FILE. It never becomes the result."""
+    """What chooses the pairs: auto, sequence, gps, gps=FILE, poses=FILE. It never becomes the result, but GPS makes it
+    metric, with z up and y north."""
     poses: Literal["keep", "refine", "prior"] | None = None
     """Poses the input carries: keep, refine or prior (choose pairs only)."""
     pairs: Literal["graphgs", "paper", "exhaustive", "sequential"] | None = None

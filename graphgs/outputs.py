@@ -32,6 +32,7 @@ from graphgs.export.ply import write_ply
 from graphgs.memory import peak_rss_bytes
 from graphgs.pipeline import Posed, Run, Trained, partial_error
 from graphgs.structure.pair_set import KIND_NAMES
+from graphgs.structure.world import plain
 from graphgs.workspace import write_json, write_text
 
 PACKAGES = ("graphgs", "torch", "warp-lang", "taichi", "pycolmap", "numpy", "scipy", "opencv-python-headless")
@@ -81,6 +82,8 @@ def collect_metrics(run: Run, posed: Posed, made: Made | None, versions: dict[st
         "steps_executed": None if made is None else made.trained.stats.steps_executed,
         "images": n,
         "registered": len(posed.structure.reconstruction.names),
+        "rigs": [rig.record() for rig in posed.structure.rigs],
+        "world": plain(posed.structure.world),
         "skipped": {s.name: s.reason for s in posed.photos.skipped},
         "pairs_candidate": None if posed.pairs is None else len(posed.pairs.pairs),
         "pairs_exhaustive": n * (n - 1) // 2,

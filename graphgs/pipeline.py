@@ -29,7 +29,7 @@ from graphgs.structure.mapping import map_fine
 from graphgs.structure.matching import Matches, match_pairs
 from graphgs.structure.pairing import Pairs
 from graphgs.structure.prior import Prior
-from graphgs.structure.priors import make_prior
+from graphgs.structure.priors import make_prior, prior_fingerprint
 from graphgs.structure.result import Structure
 from graphgs.structure.undistort import undistort
 from graphgs.training import train
@@ -59,7 +59,7 @@ READS: dict[Stage, tuple[str, ...]] = {
     MATCHES: ("run.seed", "structure.fine_*", "structure.min_inliers", "structure.bridge_pairs"),
     MAPPING: (
         "run.seed", "structure.poses", "structure.min_inliers", "structure.max_error_px", "structure.min_angle_deg",
-        "structure.min_registered", "structure.max_rotation_*", "structure.max_camera_shift",
+        "structure.min_registered", "structure.max_rotation_*", "structure.max_camera_shift", "structure.rig_*",
     ),
     VIEWS: ("structure.max_side",),
     GRAPH: (),
@@ -302,6 +302,7 @@ def _matched(run: Run, photos: Photos) -> tuple[Prior, Pairs, Matches]:
             scratch=scratch, reporter=reporter, threads=threads, seed=seed,
         ),
         Prior.load,
+        source_key=prior_fingerprint(config.run.prior),
     )  # fmt: skip
     pairs = run.stage(
         PAIRS,

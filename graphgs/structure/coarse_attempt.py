@@ -9,6 +9,7 @@ import numpy as np
 from graphgs.progress import Reporter
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.sources.photos import Photos
+from graphgs.sources.rigs import Rig
 from graphgs.structure.cameras import SharedCameras, rescaled, shared_cameras
 from graphgs.structure.colmap import ColmapWorker
 from graphgs.structure.config import StructureConfig
@@ -16,6 +17,7 @@ from graphgs.structure.database import by_photo_names, create_database
 from graphgs.structure.features import extract_features, load_descriptors
 from graphgs.structure.focal import FocalVote, vote_focal
 from graphgs.structure.retrieval import similar_photos
+from graphgs.structure.rigs import same_frame_pairs, sequences
 
 # Looser than COLMAP's defaults: features are few, and a wrong photo here costs pairs only.
 _VERIFICATION = {"min_num_inliers": 12}
@@ -101,7 +103,7 @@ def run_attempt(
     )
     cameras = shared_cameras(photos)
     create_database(worker, database, photos, cameras, features)
-    pairs = coarse_pairs(similar[:, : config.retrieval_neighbors], n, config.sequence_window)
+    pairs = coarse_pairs(similar[:, : config.retrieval_neighbors], n, config.sequence_window, photos.rigs)
     worker.run(
         "match",
         progress=lambda done, total: reporter.progress(done, total, "coarse matches"),
@@ -205,15 +207,21 @@ def coarse_pairs(
     similar: np.ndarray,  # [N, k] look-alikes, -1 = none
     n: int,
     window: int,
+    rigs: tuple[Rig, ...] = (),
 ) -> np.ndarray:
-    """[P, 2] i < j, sorted: `window` neighbours in file order, then every power of two, and the look-alikes."""
+    """[P, 2] i < j, sorted: `window` neighbours in file order, then every power of two, and the look-alikes. Each
+    camera of a rig has a file order of its own, and is paired with the others frame by frame."""
     offsets = list(range(1, window + 1))
     step = 1
     while step < n:
         offsets.append(step)
         step *= 2
-    i = np.arange(n)
-    parts = [np.stack([i[: n - d], i[d:]], axis=1) for d in sorted(set(offsets)) if d < n]
+    parts = [
+        np.stack([row[:-d], row[d:]], axis=1)
+        for row in sequences(n, rigs)
+        for d in sorted(set(offsets))
+        if d < len(row)
+    ]
     rows, ranks = np.nonzero(similar >= 0)
-    parts.append(np.sort(np.stack([rows, similar[rows, ranks]], axis=1), axis=1))
-    return np.unique(np.concatenate(parts), axis=0)
+    parts += [np.stack([rows, similar[rows, ranks]], axis=1), same_frame_pairs(rigs)]
+    return np.unique(np.sort(np.concatenate(parts), axis=1), axis=0)

@@ -52,5 +52,11 @@ class StructureConfig:
     max_camera_shift: float = 0.05
     """Largest distance a camera may move between first and final reconstruction, as a share of the scene."""
 
+    rig_refinement: Literal["constrained", "free"] = "constrained"
+    """Cameras that turn out to be fixed on a rig: constrained gives them one place on it in a last bundle adjustment
+    (kept if the photos do not object), free leaves every photo its own pose."""
+    rig_baseline_m: float | None = None
+    """[m] distance between the first two cameras of a rig (folders by name): makes the result metric."""
+
     max_side: int | None = None
     """[px] long side of the undistorted training images; None keeps the decoded size."""

@@ -20,6 +20,7 @@ from graphgs.structure.matching import Matches
 from graphgs.structure.model_calls import ModelCalls
 from graphgs.structure.prior import Prior
 from graphgs.structure.result import Structure, edges_among, left_out
+from graphgs.structure.rig_refinement import rig_poses
 
 
 def needs_matching(config: StructureConfig, photos: Photos) -> bool:
@@ -41,6 +42,7 @@ def keep_given(config: StructureConfig, photos: Photos) -> Structure:
         compared_with="",
         component=len(components(len(given.names), edges)[0]),
         unregistered=_without_pose(photos),
+        rigs=rig_poses(photos, given),
     )
 
 
@@ -84,6 +86,7 @@ def map_given(
         unregistered=left_out(photos.names, reconstruction.names, matches.component, matches.edges)
         if refine
         else _without_pose(photos),
+        rigs=rig_poses(photos, reconstruction),
     )
 
 

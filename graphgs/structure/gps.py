@@ -7,16 +7,21 @@ _FLATTENING = 1.0 / 298.257223563
 _ECCENTRICITY2 = _FLATTENING * (2.0 - _FLATTENING)
 
 
+def median_position(
+    positions: np.ndarray,  # [N, 3] latitude and longitude [deg], altitude [m]
+) -> np.ndarray:
+    """[3] the middle, coordinate by coordinate. Longitudes around +-180 degrees lie side by side."""
+    turned = positions.copy()
+    turned[:, 1] = (positions[:, 1] - positions[0, 1] + 180.0) % 360.0 - 180.0 + positions[0, 1]
+    return np.median(turned, axis=0)
+
+
 def enu_from_wgs84(
     positions: np.ndarray,  # [N, 3] latitude and longitude [deg], altitude above the ellipsoid [m]
 ) -> np.ndarray:
     """[N, 3] east, north, up [m], with the origin at the median position."""
-    origin = np.median(positions, axis=0)
-    # Longitudes around +-180 degrees lie side by side.
-    turned = positions.copy()
-    turned[:, 1] = (positions[:, 1] - positions[0, 1] + 180.0) % 360.0 - 180.0 + positions[0, 1]
-    origin[1] = np.median(turned[:, 1])
-    offset = _ecef(turned) - _ecef(origin[None])
+    origin = median_position(positions)
+    offset = _ecef(positions) - _ecef(origin[None])
     latitude, longitude = np.radians(origin[:2])
     sin_lat, cos_lat, sin_lon, cos_lon = np.sin(latitude), np.cos(latitude), np.sin(longitude), np.cos(longitude)
     enu_from_ecef = np.array(

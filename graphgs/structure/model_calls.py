@@ -9,11 +9,13 @@ import numpy as np
 from graphgs.progress import Reporter
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.sources.photos import Photos
+from graphgs.sources.rigs import Rig
 from graphgs.structure.colmap import ColmapWorker
 from graphgs.structure.config import StructureConfig
 from graphgs.structure.database import by_photo_names, by_pixel_files
 from graphgs.structure.matching import Matches
 from graphgs.structure.prior import Prior
+from graphgs.structure.rigs import RigPose
 
 # First a wide net, since coarse poses are off by a pixel or two. Then Cauchy's loss: repeated facades leave wrong
 # tracks that no threshold finds; it cut the median position error to a quarter (castle .25 -> .06 %, fox .13 -> .08 %).
@@ -25,7 +27,7 @@ _FAR_OFF_CENTER = 0.1  # of the longer side: a principal point further out than 
 
 @dataclass(frozen=True)
 class ModelCalls:
-    """The two mapping calls, with what they share. A model that is in scratch already is taken from there."""
+    """The mapping calls, with what they share. A model that is in scratch already is taken from there."""
 
     config: StructureConfig
     photos: Photos
@@ -67,6 +69,21 @@ class ModelCalls:
         model = None if start is None else self.scratch / start / "colmap"
         return self._model(name, "map_incrementally", start=model, options=options, seed=self.seed + seed_offset)
 
+    def rig_adjusted(self, model: str, rigs: list[tuple[Rig, RigPose]]) -> Reconstruction | None:
+        """The model of that name after bundle adjustment with one place on its rig per camera."""
+        files = [photo.pixels for photo in self.photos.photos]
+        jobs = [
+            {
+                "images": [[files[k] if k >= 0 else None for k in frame] for frame in rig.photos],
+                "rotations": pose.rotations.tolist(),
+                "translations": pose.translations.tolist(),
+            }
+            for rig, pose in rigs
+        ]
+        refine = ["poses"] if self.prior.hold_intrinsics else ["poses", "intrinsics"]
+        start = self.scratch / model / "colmap"
+        return self._call(f"{model}_rig", "adjust_rigs", model=start, rigs=jobs, step=self._narrow, refine=refine)
+
     @property
     def _narrow(self) -> dict:
         return {**_NARROW, "max_error_px": self.config.max_error_px, "min_angle_deg": self.config.min_angle_deg}
@@ -77,13 +94,15 @@ class ModelCalls:
         return folder
 
     def _model(self, name: str, job: str, **arguments) -> Reconstruction | None:
+        return self._call(name, job, database=self.matches.database, **arguments)
+
+    def _call(self, name: str, job: str, **arguments) -> Reconstruction | None:
         out = self.scratch / name
         if not out.exists():
             self.worker.run(
                 job,
                 progress=lambda done, total: self.reporter.progress(done, total, f"mapping: {name}"),
                 **{"seed": self.seed, **arguments},
-                database=self.matches.database,
                 out=out,
                 threads=self.threads,
             )

@@ -27,6 +27,7 @@ class Prior:
     oriented: bool = True  # False: positions only, `rotations` say nothing
     reconstruction: Reconstruction | None = None
     similar: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), np.int64))  # [N, k] look-alikes, best first
+    origin: tuple[float, float, float] | None = None  # of gps: latitude, longitude [deg], altitude [m] of the world's 0
 
     def similar_pairs(self, photos: np.ndarray) -> np.ndarray:
         """[P, 2] i < j: every look-alike pair with at least one of `photos` (indices) in it."""
@@ -42,7 +43,7 @@ class Prior:
         folder.mkdir(parents=True, exist_ok=True)
         arrays = {k: getattr(self, k) for k in ("placed", "rotations", "centers", "similar")}
         np.savez(folder / "prior.npz", camera_ids=self.cameras.camera_ids, **arrays)
-        header = {k: getattr(self, k) for k in ("names", "hold_intrinsics", "source", "note", "oriented")}
+        header = {k: getattr(self, k) for k in ("names", "hold_intrinsics", "source", "note", "oriented", "origin")}
         header["cameras"] = self.cameras.records()
         (folder / "prior.json").write_text(json.dumps(header, indent=1))
         if self.reconstruction is not None:
@@ -52,6 +53,7 @@ class Prior:
     def load(folder: Path) -> "Prior":
         header = json.loads((folder / "prior.json").read_text())
         header["names"] = tuple(header["names"])
+        header["origin"] = None if header["origin"] is None else tuple(header["origin"])
         own = folder / "reconstruction"
         reconstruction = Reconstruction.load(own) if own.is_dir() else None
         with np.load(folder / "prior.npz", allow_pickle=False) as stored:

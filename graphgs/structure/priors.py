@@ -5,6 +5,7 @@ start from and be compared with; so a wrong prior cannot bend the result.
 """
 
 import dataclasses
+import hashlib
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +14,11 @@ from graphgs.errors import DataError, UsageError
 from graphgs.progress import Reporter
 from graphgs.sources.photos import Photos
 from graphgs.sources.poses import read_poses
+from graphgs.sources.positions import read_positions
 from graphgs.structure.cameras import SharedCameras, shared_cameras
 from graphgs.structure.coarse import coarse_poses
 from graphgs.structure.config import StructureConfig
-from graphgs.structure.gps import enu_from_wgs84
+from graphgs.structure.gps import enu_from_wgs84, median_position
 from graphgs.structure.prior import Prior, poses_by_name
 
 _FEWEST_GPS = 3
@@ -26,7 +28,7 @@ def make_prior(
     config: StructureConfig,
     photos: Photos,
     *,
-    wanted: str,  # auto | sequence | gps | poses=FILE
+    wanted: str,  # auto | sequence | gps | gps=FILE | poses=FILE
     scratch: Path,
     reporter: Reporter,
     threads: int,
@@ -38,20 +40,33 @@ def make_prior(
         return given_prior(photos)
     run = {"scratch": scratch, "reporter": reporter, "threads": threads, "seed": seed}
     kind, _, file = wanted.partition("=")
-    if kind not in ("auto", "sequence", "gps", "poses") or (kind == "poses") != bool(file):
-        raise UsageError(f"--prior {wanted}: not known", hint="use auto, sequence, gps or poses=FILE")
+    if not _is_known(wanted):
+        raise UsageError(f"--prior {wanted}: not known", hint="use auto, sequence, gps, gps=FILE or poses=FILE")
     if kind == "auto" and photos.given is None:
         return coarse_poses(config, photos, **run)
     if kind == "sequence":
         return sequence_prior(own_prior(config, photos, **run))
     if kind == "gps":
-        return gps_prior(own_prior(config, photos, **run), photos)
+        positions = read_positions(Path(file), photos.names) if file else exif_positions(photos)
+        check_enough(positions, photos, file)
+        return gps_prior(own_prior(config, photos, **run), positions, note=file or "EXIF GPS")
     if kind == "poses":
         names, rotations, centers = read_poses(Path(file), photos)
         return poses_prior(own_prior(config, photos, **run), names, rotations, centers, note=f"poses of {file}")
     given = photos.given
     own = own_prior(config, photos, **run)
     return poses_prior(own, given.names, given.rotations, given.centers, note="poses that came with the input")
+
+
+def prior_fingerprint(wanted: str) -> str:
+    """SHA-256 over the contents of the file that a prior is read from; "" without one."""
+    file = Path(wanted.partition("=")[2])
+    if "=" not in wanted or not file.exists():
+        return ""  # a missing file is an error of the stage itself
+    total = hashlib.sha256()
+    for part in sorted(p for p in file.iterdir() if p.is_file()) if file.is_dir() else [file]:
+        total.update(f"\0{part.name}\0".encode() + part.read_bytes())
+    return total.hexdigest()
 
 
 def own_prior(
@@ -89,18 +104,30 @@ def sequence_prior(own: Prior) -> Prior:
     return _guided(own, np.ones(n, dtype=bool), None, centers, "sequence", "file order")
 
 
-def gps_prior(own: Prior, photos: Photos) -> Prior:
-    """EXIF positions in local east, north, up [m]. Without orientations: a phone's GPS is too coarse to turn the coarse
-    reconstruction into its frame, so pairs are not filtered."""
-    placed = np.array([photo.gps is not None for photo in photos.photos], dtype=bool)
-    if placed.sum() < _FEWEST_GPS:
+def exif_positions(photos: Photos) -> dict[str, tuple[float, float, float]]:
+    """Latitude, longitude [deg] and altitude [m] by photo name, of the photos that carry them."""
+    return {photo.name: photo.gps for photo in photos.photos if photo.gps is not None}
+
+
+def check_enough(positions: dict[str, tuple[float, float, float]], photos: Photos, file: str = "") -> None:
+    """Raises DataError where GPS could guide nothing, before the work of a coarse reconstruction."""
+    if len(positions) < _FEWEST_GPS:
+        where = f"in {file}" if file else "in EXIF"
         raise DataError(
-            f"only {placed.sum()} of {len(placed)} photos carry GPS positions in EXIF",
+            f"only {len(positions)} of {len(photos.photos)} photos have a GPS position {where}",
             hint="use --prior auto, which needs none",
         )
+
+
+def gps_prior(own: Prior, positions: dict[str, tuple[float, float, float]], *, note: str) -> Prior:
+    """Positions in local east, north, up [m]; the final world gets this frame. Without orientations: a phone's GPS is
+    too coarse to turn the coarse reconstruction into its frame, so pairs are not filtered."""
+    placed = np.array([name in positions for name in own.names], dtype=bool)
+    known = np.array([positions[name] for name in own.names if name in positions])
     centers = np.full((len(placed), 3), np.nan)
-    centers[placed] = enu_from_wgs84(np.array([photo.gps for photo in photos.photos if photo.gps is not None]))
-    return _guided(own, placed, None, centers, "gps", f"EXIF GPS of {placed.sum()} of {len(placed)} photos")
+    centers[placed] = enu_from_wgs84(known)
+    guided = _guided(own, placed, None, centers, "gps", f"{note} of {placed.sum()} of {len(placed)} photos")
+    return dataclasses.replace(guided, origin=tuple(float(v) for v in median_position(known)))
 
 
 def poses_prior(
@@ -136,6 +163,11 @@ def given_prior(photos: Photos) -> Prior:
         note=f"poses of {placed.sum()} of {len(placed)} photos came with the input",
         reconstruction=given,
     )
+
+
+def _is_known(wanted: str) -> bool:
+    kind, equals, file = wanted.partition("=")
+    return wanted in ("auto", "sequence", "gps") or (kind in ("gps", "poses") and bool(equals and file))
 
 
 def _given_cameras(photos: Photos) -> SharedCameras:

@@ -10,6 +10,8 @@ import numpy as np
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.structure.acceptance import Agreement
 from graphgs.structure.matching import Matches
+from graphgs.structure.rigs import RigPose
+from graphgs.structure.world import WorldFrame, from_plain, plain
 
 
 @dataclass(frozen=True)
@@ -25,6 +27,8 @@ class Structure:
     compared_with: str
     component: int  # photos in the largest connected group
     unregistered: tuple[tuple[str, str], ...]  # (name, reason)
+    rigs: tuple[RigPose, ...] = ()  # where the cameras of each rig sit on it
+    world: WorldFrame | None = None  # None: the world's scale and axes are arbitrary
 
     @property
     def status(self) -> str:
@@ -40,7 +44,11 @@ class Structure:
             "compared_with": self.compared_with,
             "component": self.component,
             "unregistered": [list(entry) for entry in self.unregistered],
+            "rigs": len(self.rigs),
+            "world": plain(self.world),
         }
+        for k, rig in enumerate(self.rigs):
+            rig.save(folder / f"rig_{k}.npz")
         (folder / "structure.json").write_text(json.dumps(header, indent=1))
 
     @staticmethod
@@ -48,6 +56,8 @@ class Structure:
         header = json.loads((folder / "structure.json").read_text())
         header["agreement"] = None if header["agreement"] is None else Agreement(**header["agreement"])
         header["unregistered"] = tuple(tuple(entry) for entry in header["unregistered"])
+        header["rigs"] = tuple(RigPose.load(folder / f"rig_{k}.npz") for k in range(header["rigs"]))
+        header["world"] = from_plain(header["world"])
         with np.load(folder / "edges.npz", allow_pickle=False) as arrays:
             return Structure(Reconstruction.load(folder), **dict(arrays), **header)
 

@@ -19,7 +19,7 @@ from graphgs.structure.focal import vote_focal
 from graphgs.structure.gps import enu_from_wgs84
 from graphgs.structure.pairing_config import PairingConfig
 from graphgs.structure.prior import Prior
-from graphgs.structure.priors import gps_prior, make_prior, poses_prior, sequence_prior
+from graphgs.structure.priors import check_enough, exif_positions, gps_prior, make_prior, poses_prior, sequence_prior
 from graphgs.structure.retrieval import similar_photos
 from tests.support.corner_scene import photo
 
@@ -145,13 +145,14 @@ def test_gps_becomes_metres_east_north_up():
 
 def test_gps_prior_names_what_is_missing(tmp_path):
     photos = photos_of(tmp_path, 4)
-    with pytest.raises(DataError, match="only 0 of 4 photos carry GPS"):
-        gps_prior(empty_prior(photos), photos)
+    with pytest.raises(DataError, match="only 0 of 4 photos have a GPS position in EXIF"):
+        check_enough(exif_positions(photos), photos)
     some = [dataclasses.replace(p, gps=(50.0, 8.0 + 1e-4 * k, 0.0)) for k, p in enumerate(photos.photos[:3])]
     photos = Photos(tmp_path, (*some, photos.photos[3]))
-    prior = gps_prior(empty_prior(photos), photos)
+    prior = gps_prior(empty_prior(photos), exif_positions(photos), note="EXIF GPS")
     assert prior.placed.tolist() == [True, True, True, False]
     assert not prior.oriented
+    assert prior.origin == pytest.approx((50.0, 8.0001, 0.0))
     pairs = candidate_pairs(PairingConfig(), prior, reporter=Reporter(), threads=1)
     assert pairs.filter == "none"
 
@@ -187,7 +188,7 @@ def test_file_order_is_a_line(tmp_path):
     assert {(k, k + 1) for k in range(39)} <= {tuple(p) for p in pairs.pairs.tolist()}
 
 
-@pytest.mark.parametrize("wanted", ["learned", "poses", "sequence=5", ""])
+@pytest.mark.parametrize("wanted", ["learned", "poses", "poses=", "gps=", "sequence=5", ""])
 def test_an_unknown_prior_is_a_usage_error(tmp_path, wanted):
     with pytest.raises(UsageError, match="not known"):
         make_prior(

@@ -19,8 +19,9 @@ class CornerScene:
     centers: np.ndarray  # [N, 3]
 
 
-def corner_scene(folder: Path, *, count: int = 8, seed: int = 0, prefix: str = "") -> CornerScene:
-    """`count` photos along an arc, looking into the corner of a floor and two walls with random textures."""
+def corner_scene(folder: Path, *, count: int = 8, seed: int = 0, prefix: str = "", shift: float = 0.0) -> CornerScene:
+    """`count` photos along an arc, looking into the corner of a floor and two walls with random textures. `shift` moves
+    every camera to its right, as another one on the same rig."""
     rng = np.random.default_rng(seed)
     walls = [
         # a corner, and the two edges that span the wall
@@ -36,6 +37,7 @@ def corner_scene(folder: Path, *, count: int = 8, seed: int = 0, prefix: str = "
         t = k / max(count - 1, 1) - 0.5
         center = np.array([1.6 * t, 0.25 * np.sin(5 * t), 0.6 * t * t])
         rotation = _looking_at(center, np.array([-0.8 + 0.8 * t, 0.0, 4.2]))
+        center = center + shift * rotation[0]
         image = _render(walls, textures, K, rotation, center)
         name = f"photos/{k:06d}.png"
         cv2.imwrite(str(folder / name), image)
