@@ -94,5 +94,12 @@ def check_finite(**tensors: Tensor | None) -> None:
                 raise ValueError(f"{name}: expected finite values, got {bad} that are NaN or infinite")
 
 
+def check_focal(Ks: Tensor) -> None:
+    """Raise ValueError where a focal length is not positive."""
+    focal = Ks.detach()[:, (0, 1), (0, 1)]
+    if not (focal > 0).all():
+        raise ValueError(f"Ks: expected positive focal lengths, got {focal.min():g}")
+
+
 def _kind(value) -> str:
     return str(value.dtype) if isinstance(value, Tensor) else type(value).__name__

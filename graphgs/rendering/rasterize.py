@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from graphgs.rendering.checks import check_finite, check_masks, check_options, check_tensors
+from graphgs.rendering.checks import check_finite, check_focal, check_masks, check_options, check_tensors
 from graphgs.rendering.composite import Composite, CompositeOptions, Shape
 from graphgs.rendering.functions import Project, ProjectOptions, Shade
 
@@ -68,6 +68,7 @@ def rasterize(
             Ks=Ks,
             backgrounds=backgrounds,
         )
+        check_focal(Ks)
     shape = _choose_shape(means, shape)
 
     means, viewmats = means.contiguous(), viewmats.contiguous()

@@ -36,6 +36,7 @@ WRONG = {
     "means: expected float32 or float64, got torch.int64": {"means": torch.ones(30, 3, dtype=torch.int64)},
     "colors: expected [30, D] with D in 1 to 32, got [30, 0]": {"colors": torch.ones(30, 0), "backgrounds": None},
     "colors: expected [30, D] with D in 1 to 32, got [30, 33]": {"colors": torch.ones(30, 33), "backgrounds": None},
+    "Ks: expected positive focal lengths, got 0": {"Ks": torch.zeros(1, 3, 3)},
     "viewmats: expected at least one camera, got none": {
         "viewmats": torch.ones(0, 4, 4),
         "Ks": torch.ones(0, 3, 3),
