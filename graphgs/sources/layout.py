@@ -1,9 +1,11 @@
-"""What INPUT is: a folder of photos, a COLMAP project, a transforms.json, a KITTI sequence.
+"""What INPUT is: a folder of photos, a COLMAP project, a file of poses, a KITTI or Waymo sequence, a Mill-19 scene.
 
 A folder gives its photos alone: poses found beside them are named, not used, unless INPUT is the pose file itself or
-a COLMAP project (images/ and sparse/), so that "photos without poses" is what a folder of photos means.
+a project whose layout has a place for them (COLMAP's images/ and sparse/, Waymo's ego_pose/, Mill-19's metadata/), so
+that "photos without poses" is what a folder of photos means.
 """
 
+import dataclasses
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,15 +15,21 @@ import numpy as np
 
 from graphgs.errors import DataError, UsageError
 from graphgs.scene.colmap import find_model, read_model
+from graphgs.sources import mill19, waymo
 from graphgs.sources.decode import UnusableError, read_header
 from graphgs.sources.listing import OUTPUT_MARK, find_masks, holds_photos, list_photos
+from graphgs.sources.nuscenes import read_pose_json
 from graphgs.sources.photos import Skipped
 from graphgs.sources.rigs import LEAST_FRAMES, find_rigs
 from graphgs.sources.trajectory import is_kitti
-from graphgs.sources.transforms import Transforms, read_transforms
+from graphgs.sources.transforms import Transforms
 
 IMAGE_FOLDERS = ("images", "image_2", "image_0", "image_02", "image_00")  # the first that exists; KITTI's after ours
 POSE_FILES = ("transforms.json", "transforms_train.json", "poses.txt")
+POSE_FOLDERS = {  # what belongs to a project beside its photos
+    "waymo": ("ego_pose", "extrinsics", "intrinsics"),
+    "mill19": ("train/metadata", "val/metadata"),
+}
 GREY_TWINS = {"image_0", "image_1", "image_00", "image_01"}  # of KITTI's colour cameras, left out where those are
 
 
@@ -29,13 +37,13 @@ GREY_TWINS = {"image_0", "image_1", "image_00", "image_01"}  # of KITTI's colour
 class Layout:
     """Where the photos of an input lie and which poses come with them."""
 
-    kind: Literal["photos", "colmap", "transforms", "kitti"]
+    kind: Literal["photos", "colmap", "transforms", "kitti", "waymo", "mill19"]
     root: Path  # photo names are relative to it
     names: tuple[str, ...]  # candidate photo files, sorted
     refused: tuple[Skipped, ...] = ()  # files that cannot be photos, known from their names
     masks: dict[str, Path] = field(default_factory=dict)  # by photo name
-    poses: Path | None = None  # the pose file or model folder in use
-    transforms: Transforms | None = None  # what it says, if it is a transforms.json
+    poses: Path | None = None  # the pose file, or folder of a model or of pose files, in use
+    transforms: Transforms | None = None  # what it says, frame by frame; None: it is a COLMAP model or rows of numbers
     note: str = ""  # poses in use, or lying beside the photos unused
 
 
@@ -53,6 +61,10 @@ def find_layout(source: Path, *, exclude: Path | None = None, rigs: bool = True)
         return _bare_model(source, exclude, rigs)
     if model is not None and (source / "images").is_dir() and (source / "sparse") in (model, model.parent):
         return _photos(source / "images", exclude, kind="colmap", poses=model, note=f"poses from {_short(model)}")
+    if waymo.is_waymo(source):
+        return _project("waymo", source, exclude, waymo.photo_folders(source), waymo.read_waymo)
+    if mill19.is_mill19(source):
+        return _project("mill19", source, exclude, mill19.photo_folders(source), mill19.read_mill19)
     root = photo_root(source)
     cameras = _camera_folders(source, root) if rigs and root != source else ()
     if cameras:
@@ -136,6 +148,16 @@ def _unused(source: Path, root: Path, cameras: tuple[str, ...] = ()) -> list[str
     return notes
 
 
+def _project(kind, source: Path, exclude: Path | None, folders: tuple[str, ...], read) -> Layout:
+    """A folder whose layout says where photos and poses lie; names are relative to it."""
+    if not folders:
+        raise DataError(f"{source}: poses without photos", hint="the photos' folders belong beside them")
+    layout = _photos(source, exclude, only=folders, kind=kind)
+    transforms = read(source, layout.names)
+    note = f"poses from {_short(transforms.path)}"
+    return dataclasses.replace(layout, poses=transforms.path, transforms=transforms, note=note)
+
+
 def _bare_model(model: Path, exclude: Path | None, rigs: bool) -> Layout:
     """A COLMAP model given by itself: its photos lie in images/ of the folder around it, and in the folders beside
     images/ that it names."""
@@ -160,13 +182,15 @@ def _pose_file(file: Path, exclude: Path | None) -> Layout:
         return _photos(root, exclude, kind="kitti", poses=file, note=f"poses from {_short(file)}")
     raise UsageError(
         f"{file}: neither a folder of photos nor a file of poses",
-        hint="INPUT is a folder of photos, a COLMAP project, a transforms.json or a KITTI poses.txt",
+        hint="INPUT is a folder of photos, a COLMAP project, a transforms.json, a list in nuScenes' terms "
+        "or a KITTI poses.txt",
     )
 
 
 def _transforms(file: Path) -> Layout:
-    """Photos are the frames of the file; names are relative to images/ if all lie below it, as for a folder."""
-    transforms = read_transforms(file)
+    """Photos are the frames of the file, a transforms.json or nuScenes' list; names are relative to images/ if all lie
+    below it, as for a folder."""
+    transforms = read_pose_json(file)
     root = photo_root(file.parent)
     prefix = root.relative_to(file.parent).as_posix() + "/" if root != file.parent else ""
     if not all(frame.name.startswith(prefix) for frame in transforms.frames):

@@ -11,9 +11,9 @@ from graphgs.scene.reconstruction import Reconstruction
 from graphgs.sources.decode import UnusableError, read_header
 from graphgs.sources.given import fit_to_photos, match_names
 from graphgs.sources.layout import Layout
+from graphgs.sources.nuscenes import read_pose_json
 from graphgs.sources.photos import Photos
 from graphgs.sources.trajectory import KITTI_COLUMNS, kitti_poses, read_calibration, read_rows, tum_poses
-from graphgs.sources.transforms import read_transforms
 
 TUM_TOLERANCE_S = 0.02  # between a photo's timestamp name and its pose, as TUM's own associate.py
 LEAST = 3  # poses below this cannot guide anything
@@ -23,7 +23,7 @@ def given_poses(layout: Layout) -> Reconstruction | None:
     """The poses that come with the input, at the sizes their file states. Raises DataError if it cannot be used."""
     if layout.kind == "colmap":
         return read_model(layout.poses)
-    if layout.kind == "transforms":
+    if layout.transforms is not None:
         return layout.transforms.reconstruction(lambda name: _size_of(layout.root / name))
     if layout.kind == "kitti":
         return _kitti(layout)
@@ -33,18 +33,17 @@ def given_poses(layout: Layout) -> Reconstruction | None:
 def read_poses(file: Path, photos: Photos) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:
     """(names, rotations [N, 3, 3] camera-from-world, centers [N, 3]) of the photos a pose file knows.
 
-    `file` is a COLMAP model folder, a transforms.json, a KITTI poses.txt or a TUM trajectory. Rows without names
-    belong to the photos in order of name, or, in a TUM file, to photos named by their time in seconds.
+    `file` is a COLMAP model folder, a transforms.json, a list in nuScenes' terms, a KITTI poses.txt or a TUM
+    trajectory. Rows without names belong to the photos in order of name, or, in a TUM file, to photos named by their
+    time in seconds.
     """
     if not file.exists():
-        raise UsageError(
-            f"{file}: does not exist", hint="--prior poses=FILE takes a COLMAP model, transforms.json, KITTI or TUM"
-        )
+        raise UsageError(f"{file}: does not exist", hint="--prior poses=FILE takes a COLMAP model, JSON, KITTI or TUM")
     if file.is_dir():
         found = fit_to_photos(read_model(file), photos.photos)
         names, rotations, centers = found.names, found.rotations, found.centers
     elif file.suffix.lower() == ".json":
-        transforms = read_transforms(file)
+        transforms = read_pose_json(file)
         sizes = {photo.name: (photo.original_width, photo.original_height) for photo in photos.photos}
         owner = {i: name for name, i in match_names(tuple(f.name for f in transforms.frames), photos.names).items()}
         size_by_frame = {transforms.frames[i].name: sizes[name] for i, name in owner.items()}

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from graphgs.sources.decode import UnusableError, decoding, read_header
-from graphgs.sources.layout import find_layout
+from graphgs.sources.layout import POSE_FOLDERS, find_layout
 from graphgs.sources.photos import Skipped
 from graphgs.sources.rigs import Rig, find_rigs
 
@@ -16,7 +16,7 @@ from graphgs.sources.rigs import Rig, find_rigs
 class Scan:
     """What a quick look at an input shows: headers only, nothing decoded."""
 
-    kind: str  # photos, colmap, transforms or kitti
+    kind: str  # photos, colmap, transforms, kitti, waymo or mill19
     root: Path  # names are relative to it
     names: tuple[str, ...]  # photos whose header is sound, sorted
     sizes: np.ndarray  # [N, 2] int, px, upright
@@ -65,6 +65,9 @@ def fingerprint(source: Path, *, exclude: Path | None = None, rigs: bool = True,
         beside = layout.poses.parent / "calib.txt" if layout.kind == "kitti" else None
         inside = sorted(layout.poses.iterdir()) if layout.poses.is_dir() else [layout.poses]
         files |= {f"poses {path.name}": path for path in [*inside, beside] if path is not None and path.is_file()}
+    for place in POSE_FOLDERS.get(layout.kind, ()):
+        own = sorted((layout.root / place).glob("*"))
+        files |= {f"poses {place}/{path.name}": path for path in own if path.is_file()}
     total = hashlib.sha256(layout.kind.encode())
     for refused in layout.refused:
         total.update(f"\0{refused.name}\0{refused.reason}".encode())

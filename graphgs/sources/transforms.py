@@ -60,7 +60,7 @@ class Frame:
 
 @dataclass(frozen=True)
 class Transforms:
-    """The frames of one transforms.json, sorted by name."""
+    """The posed frames of one file, or folder of files, sorted by name."""
 
     path: Path
     frames: tuple[Frame, ...]
