@@ -14,8 +14,9 @@ from graphgs.structure.cameras import SharedCameras, rescaled, shared_cameras
 from graphgs.structure.colmap import ColmapWorker
 from graphgs.structure.config import StructureConfig
 from graphgs.structure.database import by_photo_names, create_database
+from graphgs.structure.feature_cache import FeatureCache
 from graphgs.structure.features import extract_features, load_descriptors
-from graphgs.structure.focal import FocalVote, vote_focal
+from graphgs.structure.focal_vote import vote_of_pairs
 from graphgs.structure.retrieval import similar_photos
 from graphgs.structure.rigs import same_frame_pairs, sequences
 
@@ -84,6 +85,7 @@ def run_attempt(
     scratch: Path,
     reporter: Reporter,
     threads: int,
+    cache: FeatureCache | None = None,
 ) -> Found:
     """Features, pairs, matches, focal length and mapping; continues what a kill left."""
     n = len(photos.photos)
@@ -97,6 +99,7 @@ def run_attempt(
         first_octave=0,
         threads=threads,
         progress=lambda done, total: reporter.progress(done, total, "coarse features"),
+        cache=cache,
     )
     similar = similar_photos(
         *load_descriptors(photos, features), words=config.retrieval_words, neighbors=_RETRIEVAL_DEPTH, seed=0
@@ -118,7 +121,7 @@ def run_attempt(
     worker.run("verified", database=database, out=work / "verified.npz")
     with np.load(work / "verified.npz", allow_pickle=False) as arrays:
         edges = arrays["edges"]
-    vote = _vote(worker, database, work, cameras)
+    vote = vote_of_pairs(worker, database, work, cameras)
     hold = attempt.hold or vote.flat
     cameras = rescaled(cameras, vote.scale)
     reporter.event("focal", **dataclasses.asdict(vote))
@@ -175,24 +178,6 @@ def _best_mapping(
     even = [result for result in results if len(result[0].names) >= _ABOUT_AS_MANY * most]
     found, cameras, _ = min(even, key=lambda result: result[2])
     return found, cameras
-
-
-def _vote(worker: ColmapWorker, database: Path, work: Path, cameras: SharedCameras) -> FocalVote:
-    """Among the photos that do not tell their focal length, if they have pairs enough; else among all."""
-    worker.run("fundamentals", database=database, out=work / "fundamentals.npz")
-    with np.load(work / "fundamentals.npz", allow_pickle=False) as arrays:
-        pairs, F, inliers = arrays["pairs"], arrays["F"], arrays["inliers"]
-    Ks = np.array([camera.K for camera in cameras.cameras])
-    camera = cameras.camera_ids[pairs]
-    guessed = ~np.array(cameras.known)[camera].any(1)
-    subsets = [guessed, np.ones(len(pairs), bool)] if guessed.any() else [np.ones(len(pairs), bool)]
-    for subset in subsets:
-        i, j = camera[subset].T
-        vote = vote_focal(F[subset], inliers[subset], Ks[i], Ks[j])
-        if vote.decided:
-            # Only what guessed cameras say may move the guesses.
-            return vote if subset is guessed else dataclasses.replace(vote, scale=1.0)
-    return vote
 
 
 def _drift(found: Reconstruction, start: SharedCameras, photos: Photos) -> float:

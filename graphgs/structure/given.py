@@ -16,6 +16,7 @@ from graphgs.structure.colmap import ColmapWorker
 from graphgs.structure.colors import colored
 from graphgs.structure.components import components
 from graphgs.structure.config import StructureConfig
+from graphgs.structure.focal_vote import vote_of_pairs
 from graphgs.structure.matching import Matches
 from graphgs.structure.model_calls import ModelCalls
 from graphgs.structure.prior import Prior
@@ -57,10 +58,15 @@ def map_given(
     threads: int,
     seed: int,
 ) -> Structure:
-    """Points for the given poses; with `config.poses` = refine also bundle adjustment, compared with what was given."""
+    """Points for the given poses; with `config.poses` = refine also bundle adjustment, compared with what was given.
+
+    Intrinsics are refined with the poses, unless the photos do not determine the focal length."""
     refine = config.poses == "refine"
     given = prior.reconstruction
     with ColmapWorker(scratch) as worker:
+        if refine:
+            vote = vote_of_pairs(worker, matches.database, scratch, prior.cameras)
+            prior = dataclasses.replace(prior, hold_intrinsics=vote.flat)
         calls = ModelCalls(config, photos, matches, prior, worker, scratch, reporter, threads, seed)
         model = calls.triangulated(given, "refined") if refine else calls.triangulated_only(given, "triangulated")
         reporter.event("worker", stage="mapping", peak_rss_mb=round(worker.peak_rss_mb))
@@ -79,7 +85,7 @@ def map_given(
         edges=edges,
         inliers=inliers,
         accepted=agreed is None or agreed.within(config),
-        method="poses of the input, refined" if refine else "poses of the input, kept; points triangulated",
+        method=_refined(prior) if refine else "poses of the input, kept; points triangulated",
         agreement=agreed,
         compared_with="the poses of the input" if refine else "",
         component=len(matches.component),
@@ -88,6 +94,11 @@ def map_given(
         else _without_pose(photos),
         rigs=rig_poses(photos, reconstruction),
     )
+
+
+def _refined(prior: Prior) -> str:
+    held = "; intrinsics kept, for the photos do not determine the focal length" if prior.hold_intrinsics else ""
+    return f"poses of the input, refined{held}"
 
 
 def covisible_pairs(reconstruction: Reconstruction, *, least: int) -> tuple[np.ndarray, np.ndarray]:

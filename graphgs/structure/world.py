@@ -35,19 +35,19 @@ class WorldFrame:
     origin: tuple[float, float, float] | None = None  # latitude, longitude [deg], altitude [m]
     used: int = 0  # photos with a GPS position that agrees
     rejected: tuple[str, ...] = ()  # photos whose GPS position does not
-    median_m: float | None = None  # distance of a camera from its GPS position, over those used
-    worst_m: float | None = None
+    median_m: float | None = None  # distance of a camera from its GPS position, over all that have one
     horizontal_median_m: float | None = None
+    worst_m: float | None = None
+    worst: str = ""  # the photo it belongs to
     scale_deviation: float | None = None  # relative standard deviation of the scale
 
     def describe(self) -> str:
         """One line."""
         if not self.compass:
             return "the world is in metres, by the rig's baseline"
-        figures = (
-            f"cameras are {self.median_m:.2f} m from their GPS positions in the median, {self.worst_m:.2f} m at most"
-        )
-        rejected = f"; {len(self.rejected)} positions far off are left out" if self.rejected else ""
+        figures = f"cameras are {self.median_m:.2f} m from their GPS positions in the median"
+        figures += f", {self.worst_m:.2f} m at most ({self.worst})"
+        rejected = f"; {len(self.rejected)} positions far off were not used" if self.rejected else ""
         return f"the world is in metres, x east, y north, z up: {figures}{rejected}"
 
 
@@ -190,9 +190,10 @@ def _described(fit: GpsFit, names: list[str], origin, scale_from: str) -> WorldF
         origin=origin,
         used=int(fit.agrees.sum()),
         rejected=tuple(name for name, ok in zip(names, fit.agrees, strict=True) if not ok),
-        median_m=float(np.median(distance[fit.agrees])),
-        worst_m=float(distance[fit.agrees].max()),
-        horizontal_median_m=float(np.median(np.linalg.norm(fit.offsets[fit.agrees, :2], axis=1))),
+        median_m=float(np.median(distance)),
+        horizontal_median_m=float(np.median(np.linalg.norm(fit.offsets[:, :2], axis=1))),
+        worst_m=float(distance.max()),
+        worst=names[int(distance.argmax())],
         scale_deviation=fit.scale_deviation,
     )
 
