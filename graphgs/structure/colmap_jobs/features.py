@@ -1,0 +1,62 @@
+"""SIFT features of some images, one file each."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pycolmap
+
+from graphgs.structure.colmap_jobs.convert import Progress
+
+
+def extract(
+    root: str,
+    images: list[str],  # pixel files below root
+    masks: list[str | None],  # mask files below root; 0 = no features here
+    out: str,  # folder for <image>.npz: keypoints [F, 4] (x, y, scale, orientation; file px), descriptors [F, 128]
+    max_side: int,  # [px] images are reduced to it first
+    max_features: int,
+    first_octave: int,
+    progress: Progress,
+) -> dict:
+    """SIFT features of some images, one file each."""
+    cv2.setNumThreads(1)
+    options = pycolmap.FeatureExtractionOptions(num_threads=1, use_gpu=False)
+    options.sift.max_num_features = max_features
+    options.sift.first_octave = first_octave
+    extractor = pycolmap.FeatureExtractor.create(options, pycolmap.Device.cpu)
+    for count, (name, mask) in enumerate(zip(images, masks, strict=True), 1):
+        keypoints, described = _sift(extractor, Path(root), name, mask, max_side)
+        target = Path(out) / f"{name}.npz"
+        target.parent.mkdir(parents=True, exist_ok=True)
+        partial = target.with_suffix(".partial.npz")
+        np.savez(partial, keypoints=keypoints, descriptors=described)
+        partial.rename(target)
+        progress(count, len(images))
+    return {}
+
+
+def _sift(extractor, root: Path, name: str, mask: str | None, max_side: int) -> tuple[np.ndarray, np.ndarray]:
+    flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
+    image = cv2.imread(str(root / name), flags)
+    if image is None:
+        raise OSError(f"{root / name}: cannot read the decoded photo")
+    height, width = image.shape
+    scale = min(1.0, max_side / max(height, width))
+    if scale < 1.0:
+        size = (max(1, round(width * scale)), max(1, round(height * scale)))
+        image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+    found, described = extractor.extract_from_uint8_array(image)
+    keypoints = pycolmap.keypoints_to_matrix(found)
+    keypoints[:, :2] *= (width / image.shape[1], height / image.shape[0])
+    keypoints[:, 2] *= width / image.shape[1]
+    descriptors = described.data.reshape(-1, 128)
+    if mask is not None:
+        allowed = cv2.imread(str(root / mask), cv2.IMREAD_GRAYSCALE)
+        if allowed is None:
+            raise OSError(f"{root / mask}: cannot read the mask")
+        columns = np.clip(keypoints[:, 0].astype(int), 0, width - 1)
+        rows = np.clip(keypoints[:, 1].astype(int), 0, height - 1)
+        keep = allowed[rows, columns] > 127
+        keypoints, descriptors = keypoints[keep], descriptors[keep]
+    return keypoints, descriptors
