@@ -15,6 +15,7 @@ from graphgs.structure.cameras import refined_by, with_cameras, with_second_term
 from graphgs.structure.coarse_attempt import Attempt, Found, run_attempt
 from graphgs.structure.colmap import ColmapWorker
 from graphgs.structure.config import StructureConfig
+from graphgs.structure.feature_cache import FeatureCache
 from graphgs.structure.prior import Prior, poses_by_name
 
 _ANOTHER_SEED = 1000  # offset
@@ -28,6 +29,7 @@ def coarse_poses(
     reporter: Reporter,
     threads: int,
     seed: int,
+    cache: FeatureCache | None = None,
 ) -> Prior:
     """Our own coarse reconstruction of the photos. Raises DataError when not even three photos fit together."""
     attempts = (
@@ -38,7 +40,7 @@ def coarse_poses(
     best: Found | None = None
     with ColmapWorker(scratch) as worker:
         for attempt in attempts:
-            found = run_attempt(config, photos, attempt, worker, scratch, reporter, threads)
+            found = run_attempt(config, photos, attempt, worker, scratch, reporter, threads, cache)
             if best is None or found.placed > best.placed:
                 best = found
             if best.placed >= config.min_registered * len(photos.photos):

@@ -1,7 +1,8 @@
 """SIFT features of all photos, extracted by as many worker processes as there are threads.
 
 pycolmap's extractor holds Python's lock, so threads would not help; its own file-based extraction spends more time on
-reading and shrinking images than on SIFT. Each photo leaves one file: a killed run loses at most one per worker.
+reading and shrinking images than on SIFT. Each photo leaves one file: a killed run loses at most one per worker. With a
+cache, what was found once is not looked for again.
 """
 
 from collections.abc import Callable
@@ -13,8 +14,9 @@ from queue import SimpleQueue
 
 import numpy as np
 
-from graphgs.sources.photos import Photos
+from graphgs.sources.photos import Photo, Photos
 from graphgs.structure.colmap import ColmapWorker
+from graphgs.structure.feature_cache import FeatureCache
 
 _POLL_S = 0.2  # between two reports
 
@@ -28,10 +30,34 @@ def extract_features(
     first_octave: int,
     threads: int,
     progress: Callable[[int, int], None],
+    cache: FeatureCache | None = None,
 ) -> np.ndarray:
     """Extract what is not there yet. Returns the number of features [N]."""
-    total = len(photos.photos)
+    settings = {"max_side": max_side, "max_features": max_features, "first_octave": first_octave}
     pending = [photo for photo in photos.photos if not (folder / f"{photo.pixels}.npz").exists()]
+    if cache is None:
+        _extract(photos, pending, folder, settings, threads, progress)
+    else:
+        cached = {photo.pixels: cache.path(photos, photo, settings) for photo in pending}
+        pending = [p for p in pending if not cache.take(cached[p.pixels], folder / f"{p.pixels}.npz")]
+        try:
+            _extract(photos, pending, folder, settings, threads, progress)
+        finally:
+            for photo in pending:
+                cache.keep(folder / f"{photo.pixels}.npz", cached[photo.pixels])
+            cache.prune()
+    return np.array([len(_load(folder, photo.pixels, "keypoints")) for photo in photos.photos], dtype=np.int64)
+
+
+def _extract(
+    photos: Photos,
+    pending: list[Photo],
+    folder: Path,
+    settings: dict[str, int],
+    threads: int,
+    progress: Callable[[int, int], None],
+) -> None:
+    total = len(photos.photos)
     progress(total - len(pending), total)
     arrived: SimpleQueue[int] = SimpleQueue()  # one entry per photo; progress is told by this thread alone
     count = min(threads, len(pending))
@@ -46,9 +72,7 @@ def extract_features(
                 "images": [photo.pixels for photo in share],
                 "masks": [photo.mask for photo in share],
                 "out": folder,
-                "max_side": max_side,
-                "max_features": max_features,
-                "first_octave": first_octave,
+                **settings,
             }
             running.append(pool.submit(worker.run, "extract", progress=lambda done, _: arrived.put(done), **job))
         reported = 0
@@ -60,7 +84,6 @@ def extract_features(
             for future in running:
                 if future.done():
                     future.result()
-    return np.array([len(_load(folder, photo.pixels, "keypoints")) for photo in photos.photos], dtype=np.int64)
 
 
 def load_descriptors(photos: Photos, folder: Path) -> tuple[np.ndarray, np.ndarray]:

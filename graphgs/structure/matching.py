@@ -1,7 +1,9 @@
 """Features at full quality, matched and geometrically verified for the chosen pairs only."""
 
+import hashlib
 import json
 import os
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +16,7 @@ from graphgs.structure.colmap import ColmapWorker
 from graphgs.structure.components import components, describe
 from graphgs.structure.config import StructureConfig
 from graphgs.structure.database import create_database, link_or_copy
+from graphgs.structure.feature_cache import FeatureCache
 from graphgs.structure.features import extract_features
 from graphgs.structure.pairing import Pairs
 from graphgs.structure.prior import Prior
@@ -31,6 +34,7 @@ class Matches:
     inliers: np.ndarray  # [E] verified matches
     features: np.ndarray  # [N] features per photo
     candidates: int  # pairs tried, bridges included
+    basis: str = ""  # hash of all that the matches of a pair depend on; equal ones may share them
 
     @property
     def component(self) -> np.ndarray:
@@ -45,16 +49,15 @@ class Matches:
             target.unlink(missing_ok=True)
             link_or_copy(self.database, target)
         np.savez(folder / "matches.npz", edges=self.edges, inliers=self.inliers, features=self.features)
-        header = {"names": list(self.names), "candidates": self.candidates}
+        header = {"names": list(self.names), "candidates": self.candidates, "basis": self.basis}
         (folder / "matches.json").write_text(json.dumps(header, indent=1))
 
     @staticmethod
     def load(folder: Path) -> "Matches":
         header = json.loads((folder / "matches.json").read_text())
         with np.load(folder / "matches.npz", allow_pickle=False) as arrays:
-            return Matches(
-                tuple(header["names"]), folder / "database.db", candidates=header["candidates"], **dict(arrays)
-            )
+            names = tuple(header.pop("names"))
+            return Matches(names, folder / "database.db", **header, **dict(arrays))
 
 
 def match_pairs(
@@ -67,6 +70,8 @@ def match_pairs(
     reporter: Reporter,
     threads: int,
     seed: int,
+    cache: FeatureCache | None = None,
+    earlier: Path | None = None,  # folder of Matches, whole or missing; pairs matched there are not matched again
 ) -> Matches:
     """Match the candidates; photos left apart get further pairs with their look-alikes. A killed run continues from the
     database in `scratch`. Raises DataError when no three photos hang together."""
@@ -82,8 +87,13 @@ def match_pairs(
         first_octave=config.fine_first_octave,
         threads=threads,
         progress=lambda done, total: reporter.progress(done, total, "features"),
+        cache=cache,
     )
+    verification = {"min_num_inliers": config.min_inliers, "ransac": {"random_seed": seed}}
+    basis = _basis(photos, prior, scratch / "features", verification)
     with ColmapWorker(scratch) as worker:
+        if earlier is not None and not database.exists():
+            _carry_over(worker, earlier, basis, tried, database, reporter)
         create_database(worker, database, photos, prior.cameras, scratch / "features")
 
         def verify(chosen: list[tuple[int, int]], note: str) -> tuple[np.ndarray, np.ndarray]:
@@ -94,7 +104,7 @@ def match_pairs(
                 pairs=chosen,
                 chunk_pairs=config.chunk_pairs,
                 matching={},
-                verification={"min_num_inliers": config.min_inliers, "ransac": {"random_seed": seed}},
+                verification=verification,
                 threads=threads,
                 scratch=scratch,
             )
@@ -126,7 +136,37 @@ def match_pairs(
             f"the photos fall into {len(groups)} groups without common features; going on with the largest, "
             f"leaving out: {describe(photos.names, groups[1:])}"
         )
-    return Matches(photos.names, database, edges, inliers, features, len(tried))
+    return Matches(photos.names, database, edges, inliers, features, len(tried), basis)
+
+
+def _basis(photos: Photos, prior: Prior, features: Path, verification: dict) -> str:
+    """What one pair's matches are made from: features, intrinsics (verification is calibrated), limits."""
+    content = hashlib.sha256(json.dumps([prior.cameras.records(), prior.cameras.camera_ids.tolist()]).encode())
+    content.update(json.dumps(verification, sort_keys=True).encode())
+    for photo in photos.photos:
+        content.update((features / f"{photo.pixels}.npz").read_bytes())
+    return content.hexdigest()
+
+
+def _carry_over(
+    worker: ColmapWorker,
+    earlier: Path,
+    basis: str,
+    pairs: list[tuple[int, int]],
+    database: Path,
+    reporter: Reporter,
+) -> None:
+    """Start from an earlier database if its pairs were matched alike, without those that are no longer wanted."""
+    try:
+        if json.loads((earlier / "matches.json").read_text()).get("basis") != basis:
+            return
+    except FileNotFoundError:
+        return
+    partial = database.with_suffix(".earlier")
+    shutil.copyfile(earlier / "database.db", partial)
+    kept = worker.run("restrict", database=partial, pairs=pairs)["kept"]
+    partial.rename(database)
+    reporter.info(f"{kept} of {len(pairs)} pairs are matched already")
 
 
 def _in_photo_order(pairs: Pairs, names: tuple[str, ...]) -> list[tuple[int, int]]:

@@ -18,6 +18,7 @@ from graphgs.sources.positions import read_positions
 from graphgs.structure.cameras import SharedCameras, shared_cameras
 from graphgs.structure.coarse import coarse_poses
 from graphgs.structure.config import StructureConfig
+from graphgs.structure.feature_cache import FeatureCache
 from graphgs.structure.gps import enu_from_wgs84, median_position
 from graphgs.structure.prior import Prior, poses_by_name
 
@@ -33,12 +34,13 @@ def make_prior(
     reporter: Reporter,
     threads: int,
     seed: int,
+    cache: FeatureCache | None = None,
 ) -> Prior:
     """The prior stage. Poses that came with the input come first: kept or refined they stand for everything else, as
     `config.poses` = prior they choose pairs in place of `auto`. Raises UsageError for a prior that is not known."""
     if photos.given is not None and config.poses != "prior":
         return given_prior(photos)
-    run = {"scratch": scratch, "reporter": reporter, "threads": threads, "seed": seed}
+    run = {"scratch": scratch, "reporter": reporter, "threads": threads, "seed": seed, "cache": cache}
     kind, _, file = wanted.partition("=")
     if not _is_known(wanted):
         raise UsageError(f"--prior {wanted}: not known", hint="use auto, sequence, gps, gps=FILE or poses=FILE")
@@ -77,10 +79,11 @@ def own_prior(
     reporter: Reporter,
     threads: int,
     seed: int,
+    cache: FeatureCache | None = None,
 ) -> Prior:
     """The coarse reconstruction, or nothing placed where it fails: enough below a prior from elsewhere."""
     try:
-        return coarse_poses(config, photos, scratch=scratch, reporter=reporter, threads=threads, seed=seed)
+        return coarse_poses(config, photos, scratch=scratch, reporter=reporter, threads=threads, seed=seed, cache=cache)
     except DataError as error:
         reporter.warn(f"no coarse reconstruction to compare with: {error.message}")
     n = len(photos.photos)

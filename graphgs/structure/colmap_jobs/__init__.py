@@ -11,7 +11,15 @@ import cv2  # noqa: F401
 import numpy  # noqa: F401
 import pycolmap
 
-from graphgs.structure.colmap_jobs.database import create_database, fundamentals, match, set_cameras, settle, verified
+from graphgs.structure.colmap_jobs.database import (
+    create_database,
+    fundamentals,
+    match,
+    restrict,
+    set_cameras,
+    settle,
+    verified,
+)
 from graphgs.structure.colmap_jobs.features import extract
 from graphgs.structure.colmap_jobs.mapping import map_incrementally, triangulate
 from graphgs.structure.colmap_jobs.rigs import adjust_rigs
@@ -25,6 +33,7 @@ JOBS = {
         create_database,
         set_cameras,
         match,
+        restrict,
         verified,
         fundamentals,
         settle,

@@ -86,6 +86,24 @@ def match(
     return {"matched_now": len(pending)}
 
 
+def restrict(
+    database: str,
+    pairs: list[tuple[int, int]],  # image indices i < j
+    progress: Progress,
+) -> dict:
+    """Forget the matches of all other pairs."""
+    wanted = {(i + 1, j + 1) for i, j in pairs}
+    with pycolmap.Database.open(database) as db:
+        found = {pycolmap.pair_id_to_image_pair(pair_id) for pair_id in db.read_num_matches()[0]}
+        found |= {pycolmap.pair_id_to_image_pair(pair_id) for pair_id in db.read_two_view_geometry_num_inliers()[0]}
+        with pycolmap.DatabaseTransaction(db):
+            for pair in found - wanted:
+                db.delete_matches(*pair)
+                db.delete_two_view_geometry(*pair)
+    _settle(Path(database))
+    return {"kept": len(found & wanted)}
+
+
 def verified(database: str, out: str, progress: Progress) -> dict:
     """The verified pairs in one npz: `edges` [E, 2] image indices i < j, sorted; `inliers` [E]."""
     with pycolmap.Database.open(database) as db:
