@@ -24,6 +24,7 @@ from graphgs.scene.views import Views
 from graphgs.sources import Photos, fingerprint, load_photos
 from graphgs.structure.candidates import candidate_pairs
 from graphgs.structure.config import StructureConfig
+from graphgs.structure.feature_cache import FeatureCache
 from graphgs.structure.given import keep_given, map_given, needs_matching
 from graphgs.structure.mapping import map_fine
 from graphgs.structure.matching import Matches, match_pairs
@@ -293,13 +294,13 @@ def decode_side(config: Config) -> int:
 
 def _matched(run: Run, photos: Photos) -> tuple[Prior, Pairs, Matches]:
     config, reporter, threads, seed = run.config, run.reporter, run.threads, run.config.run.seed
-
+    cache = FeatureCache(run.workspace.cache / "features")
     prior = run.stage(
         COARSE,
         [PHOTOS],
         lambda folder, scratch: make_prior(
             config.structure, photos, wanted=config.run.prior,
-            scratch=scratch, reporter=reporter, threads=threads, seed=seed,
+            scratch=scratch, reporter=reporter, threads=threads, seed=seed, cache=cache,
         ),
         Prior.load,
         source_key=prior_fingerprint(config.run.prior),
@@ -314,10 +315,12 @@ def _matched(run: Run, photos: Photos) -> tuple[Prior, Pairs, Matches]:
         MATCHES,
         [PHOTOS, COARSE, PAIRS],
         lambda folder, scratch: match_pairs(
-            config.structure, photos, pairs, prior, scratch=scratch, reporter=reporter, threads=threads, seed=seed
+            config.structure, photos, pairs, prior,
+            scratch=scratch, reporter=reporter, threads=threads, seed=seed, cache=cache,
+            earlier=run.workspace.cache / MATCHES.folder,
         ),
         Matches.load,
-    )
+    )  # fmt: skip
     return prior, pairs, matches
 
 
