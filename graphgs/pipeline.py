@@ -19,7 +19,6 @@ from graphgs.evaluation.evaluate import Evaluation, evaluate
 from graphgs.graph import CameraGraph
 from graphgs.graph.build import build_camera_graph
 from graphgs.points import PrunedPoints, initial_points
-from graphgs.rendering.splats import Splats
 from graphgs.scene.views import Views
 from graphgs.sources import Photos, fingerprint, load_photos
 from graphgs.structure.candidates import candidate_pairs
@@ -34,7 +33,7 @@ from graphgs.structure.priors import make_prior, prior_fingerprint
 from graphgs.structure.result import Structure
 from graphgs.structure.undistort import undistort
 from graphgs.training import train
-from graphgs.training.stats import TrainStats
+from graphgs.training.trained import Trained
 from graphgs.workspace import Outcome, Stage, Workspace
 
 PHOTOS = Stage(1, "photos", 2)
@@ -45,7 +44,7 @@ MAPPING = Stage(5, "mapping", 1)
 VIEWS = Stage(6, "views", 1)
 GRAPH = Stage(7, "graph", 1)
 POINTS = Stage(8, "points", 1)
-TRAINING = Stage(9, "training", 1)
+TRAINING = Stage(9, "training", 2)
 EVALUATION = Stage(10, "evaluation", 1)
 STAGES = (PHOTOS, COARSE, PAIRS, MATCHES, MAPPING, VIEWS, GRAPH, POINTS, TRAINING, EVALUATION)
 
@@ -85,22 +84,6 @@ _TITLES = {
     TRAINING: "Training Gaussians",
     EVALUATION: "Held-out views",
 }
-
-
-@dataclass(frozen=True)
-class Trained:
-    """What the training stage leaves: the scene and the figures of its making."""
-
-    splats: Splats
-    stats: TrainStats
-
-    def save(self, folder: Path) -> None:
-        self.splats.save(folder)
-        self.stats.save(folder)
-
-    @staticmethod
-    def load(folder: Path) -> "Trained":
-        return Trained(Splats.load(folder), TrainStats.load(folder))
 
 
 @dataclass(frozen=True)
@@ -236,11 +219,10 @@ def make_scene(run: Run, posed: Posed) -> tuple[Trained, Evaluation]:
     )
 
     def produce(folder: Path, scratch: Path) -> Trained:
-        splats, stats = train(
+        return train(
             config.training, posed.views, posed.graph, points,
             scratch=scratch, device=run.device, seed=config.run.seed, threads=threads, reporter=reporter,
         )  # fmt: skip
-        return Trained(splats, stats)
 
     checkpoints = run.workspace.output / "checkpoints"
     trained = run.stage(TRAINING, [VIEWS, GRAPH, POINTS], produce, Trained.load, scratch=checkpoints)

@@ -20,7 +20,7 @@ class ConsistencyTerm:
     def __init__(self, config: TrainConfig, views: Views, graph: CameraGraph, *, device: str):
         self._config, self._views = config, views
         self._Ks = torch.as_tensor(views.Ks, dtype=torch.float32, device=device)
-        self._viewmats, self._device = views.viewmats.astype(np.float64), device
+        self._device = device
         self._targets = target_views(views, graph, mode=config.consistency)
 
     def loss(
@@ -29,6 +29,8 @@ class ConsistencyTerm:
         out: RenderOutput,  # its render, with gradients
         mask: Tensor | None,  # [1, H, W, 1] of photo i
         *,
+        viewmats: np.ndarray,  # [N, 4, 4] world-to-camera, of all views as they are now
+        expose: Callable[[int, Tensor], Tensor],  # the exposure of a view's photo, given to a render
         render: Callable[[int], RenderOutput],  # renders a view without gradients
         photo: Callable[[int], tuple[Tensor, Tensor | None]],  # photo and mask of a view
     ) -> Tensor | None:
@@ -36,7 +38,7 @@ class ConsistencyTerm:
         j = self._targets.get(i)
         if j is None:
             return None
-        cam_j_from_cam_i = self._viewmats[j] @ np.linalg.inv(self._viewmats[i])
+        cam_j_from_cam_i = viewmats[j] @ np.linalg.inv(viewmats[i])
         geometry = (
             self._Ks[i : i + 1],
             self._Ks[j : j + 1],
@@ -47,11 +49,13 @@ class ConsistencyTerm:
         truth, truth_mask = (None, None) if self._config.consistency_source == "render" else photo(j)
         losses = []
         for image_j, mask_j in self._sources(other.colors, truth, truth_mask):
+            # two renders meet without any exposure; photo j meets render i as camera j would have exposed it
+            image_i = out.colors if image_j is other.colors else expose(j, out.colors)
             # depth 0 says "nothing here", which the occlusion check then drops
             depth_j = other.depths if mask_j is None else other.depths * mask_j
             losses.append(
                 consistency_loss(
-                    out.colors, out.depths, alpha_i, image_j, depth_j, *geometry, mode=self._config.consistency
+                    image_i, out.depths, alpha_i, image_j, depth_j, *geometry, mode=self._config.consistency
                 )
             )
         return losses[0] if len(losses) == 1 else (losses[0] + losses[1]) / 2

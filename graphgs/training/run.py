@@ -25,6 +25,7 @@ from graphgs.training.checkpoint import Checkpoint, load_checkpoint, save_checkp
 from graphgs.training.config import TrainConfig
 from graphgs.training.extent import scene_extent
 from graphgs.training.stats import TrainStats
+from graphgs.training.trained import Trained
 from graphgs.training.trainer import Trainer
 
 READ_INTERVAL = 10  # steps between two looks at the losses (on a GPU each look waits for it)
@@ -46,9 +47,10 @@ def train(
     threads: int | None = None,  # None = as set by graphgs.set_num_threads
     reporter: Reporter | None = None,
     stop_at: int | None = None,  # save and return after this many executed steps: one slice of a run
-) -> tuple[Splats, TrainStats]:
+) -> Trained:
     """Optimise Gaussians on the training views (3DGS, Kerbl et al. 2023, guided by the camera graph).
 
+    Exposures and poses, if they are fitted, are those of training views: no test photo is read here.
     On the CPU the result is bit-identical for any `threads` and any interruption. Saves and re-raises on
     KeyboardInterrupt. Raises DataError without points or training views, or when training diverges twice."""
     reporter = reporter or Reporter()
@@ -63,7 +65,7 @@ def train(
             run.advance(config.steps if stop_at is None else min(stop_at, config.steps), interrupted)
         finally:
             trainer.close()
-        return trainer.splats(), run.stats
+        return Trained(trainer.splats(), run.stats, *trainer.fits())
 
 
 class _Run:
@@ -116,7 +118,7 @@ class _Run:
     def _is_finite(self, *, values: bool = True) -> bool:
         if self._unread and not bool(torch.isfinite(torch.stack(self._unread).sum())):
             return False
-        return not values or self._trainer.parameters.is_finite
+        return not values or self._trainer.is_finite
 
     def _report(self) -> None:
         trainer, stats = self._trainer, self.stats

@@ -12,8 +12,10 @@ from graphgs.rendering.splats import Splats
 from graphgs.scene.views import Views
 from graphgs.training.config import TrainConfig
 from graphgs.training.consistency import ConsistencyTerm
+from graphgs.training.exposure import Exposure
 from graphgs.training.images import TrainingImages
 from graphgs.training.parameters import Parameters
+from graphgs.training.pose_refinement import PoseRefinement
 from graphgs.training.schedule import Schedule
 from graphgs.training.strategy import AdaptiveControl, Strategy
 
@@ -47,6 +49,10 @@ class Trainer:
         self._extent = extent
         self._Ks = torch.as_tensor(views.Ks, dtype=torch.float32, device=device)
         self._viewmats = torch.as_tensor(views.viewmats, dtype=torch.float32, device=device)
+        self._exposure = None if config.exposure == "none" else Exposure(config, views.is_test, device=device)
+        self._poses = None
+        if config.refine_poses:
+            self._poses = PoseRefinement(config, views.viewmats, views.is_test, extent=extent, device=device)
         index = {name: k for k, name in enumerate(views.names)}
         self._view_of_node = np.array([index.get(name, -1) for name in graph.names])
         self._sampler = ViewSampler(graph, seed=seed, mode=config.sampling)
@@ -75,6 +81,8 @@ class Trainer:
             loss, out = self._gradients(step)
         self.strategy.after_backward(step, out)
         self.parameters.step(step, self._rates(step))
+        for fit in self._fits.values():
+            fit.step(self.view_of_step(step), step, self._caution)
         self.strategy.after_step(step, self.parameters)
         self.done += 1
         self.between_steps = True
@@ -85,15 +93,20 @@ class Trainer:
         view, photo, mask = self._images.of_step(step)
         degree = self.schedule.sh_degree(step)
         gaussians = self._gaussians(degree)
-        out = self._render(view, gaussians, degree)
-        loss = photometric_loss(out.colors, photo, mask, ssim_weight=self.config.ssim_weight)
+        out = self._render(view, gaussians, degree, self._viewmat(view, fitted_in=step))
+        colors = out.colors if self._exposure is None else self._exposure.apply(view, out.colors)
+        loss = photometric_loss(colors, photo, mask, ssim_weight=self.config.ssim_weight)
+        if self._exposure is not None:
+            loss = loss + self._exposure.penalty()
         if self._consistency is not None and self.schedule.has_consistency(step):
             detached = [tensor.detach() for tensor in gaussians]
             extra = self._consistency.loss(
                 view,
                 out,
                 mask,
-                render=lambda j: self._render(j, detached, degree),
+                viewmats=self.viewmats,
+                expose=(lambda j, colors: colors) if self._exposure is None else self._exposure.applied_fixed,
+                render=lambda j: self._render(j, detached, degree, self._viewmat(j)),
                 photo=self._images.of_view,
             )
             if extra is not None:
@@ -106,19 +119,45 @@ class Trainer:
         """The Gaussians as they are, detached."""
         return self.parameters.splats(self.config.sh_degree)
 
+    @property
+    def viewmats(self) -> np.ndarray:
+        """[N, 4, 4] float64 world-to-camera: of training views as refined so far, of held-out ones as given."""
+        return self.views.viewmats if self._poses is None else self._poses.viewmats
+
+    def fits(self) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """Refined viewmats [N, 4, 4] and exposures [N, 3, 4] of all views, each None where it is not fitted."""
+        viewmats = None if self._poses is None else self._poses.viewmats.copy()
+        return viewmats, None if self._exposure is None else self._exposure.transforms()
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether everything that was learned is."""
+        return self.parameters.is_finite and all(fit.is_finite for fit in self._fits.values())
+
     def state(self) -> dict[str, Tensor]:
-        return self.parameters.state() | {f"strategy.{k}": v for k, v in self.strategy.state().items()}
+        parts = {"strategy": self.strategy, **self._fits}
+        nested = {f"{part}.{k}": v for part, owner in parts.items() for k, v in owner.state().items()}
+        return self.parameters.state() | nested
 
     def restore(self, done: int, state: dict[str, Tensor]) -> None:
         """Go on from `done` executed steps."""
         self.done = done
         self.parameters = Parameters.from_state(state, self.device)
-        prefix = "strategy."
-        self.strategy.load_state({k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)})
+        for part, owner in {"strategy": self.strategy, **self._fits}.items():
+            owner.load_state({k.removeprefix(f"{part}."): v for k, v in state.items() if k.startswith(f"{part}.")})
         self.between_steps = True
 
     def close(self) -> None:
         self._images.close()
+
+    @property
+    def _fits(self) -> dict[str, Exposure | PoseRefinement]:
+        """What is fitted to every training view."""
+        return {name: fit for name, fit in (("exposure", self._exposure), ("poses", self._poses)) if fit is not None}
+
+    @property
+    def _caution(self) -> float:
+        return RECOVERY_RATE**self.recoveries
 
     def _gaussians(self, degree: int) -> tuple[Tensor, ...]:
         values = self.parameters.values
@@ -130,11 +169,17 @@ class Trainer:
             self.parameters.sh_coeffs(degree),
         )
 
-    def _render(self, view: int, gaussians: tuple[Tensor, ...] | list[Tensor], degree: int) -> RenderOutput:
+    def _render(
+        self,
+        view: int,
+        gaussians: tuple[Tensor, ...] | list[Tensor],
+        degree: int,
+        viewmat: Tensor,  # [1, 4, 4]
+    ) -> RenderOutput:
         width, height = (int(side) for side in self.views.sizes[view])
         return rasterize(
             *gaussians,
-            self._viewmats[view : view + 1],
+            viewmat,
             self._Ks[view : view + 1],
             width,
             height,
@@ -142,6 +187,13 @@ class Trainer:
             validate=False,  # the run looks at the losses, and rolls back
         )
 
+    def _viewmat(self, view: int, *, fitted_in: int | None = None) -> Tensor:
+        """[1, 4, 4] as it is now; with a gradient to the pose, if the step fits one."""
+        if self._poses is None:
+            return self._viewmats[view : view + 1]
+        if fitted_in is not None and self._poses.moves(fitted_in):
+            return self._poses.viewmat(view)
+        return torch.as_tensor(self.viewmats[view : view + 1], dtype=torch.float32, device=self.device)
+
     def _rates(self, step: int) -> dict[str, float]:
-        caution = RECOVERY_RATE**self.recoveries
-        return {name: caution * rate for name, rate in self.schedule.rates(step, extent=self._extent).items()}
+        return {name: self._caution * rate for name, rate in self.schedule.rates(step, extent=self._extent).items()}

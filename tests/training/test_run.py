@@ -36,7 +36,9 @@ def scene(tmp_path_factory):
 
 
 def _train(scene, scratch, config=SHORT, **options):
-    return train(config, scene.views, scene.graph, scene.points, scratch=scratch, **{"seed": 3, "threads": 1} | options)
+    options = {"seed": 3, "threads": 1} | options
+    trained = train(config, scene.views, scene.graph, scene.points, scratch=scratch, **options)
+    return trained.splats, trained.stats
 
 
 def _same(a, b) -> bool:
