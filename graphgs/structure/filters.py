@@ -1,21 +1,27 @@
-"""Which pairs can share a view, judged by coarse poses: one pure predicate in four forms."""
+"""Which pairs can share a view, judged by coarse poses and points: one pure predicate in four forms."""
 
 import functools
 import logging
 from typing import Literal
 
 import numpy as np
+from scipy import sparse
 
 from graphgs.scene.neighbours import median_spacing
-from graphgs.structure.frusta import frusta_overlap
+from graphgs.structure.coarse_views import depth_ranges, frustum_views, local_points, with_points
+from graphgs.structure.overlap import share_views
 from graphgs.structure.pair_set import check_centers, check_pairs, check_rotations
 from graphgs.structure.quadrants import ACCEPTED, octant_codes, world_codes
+from graphgs.structure.uncertainty import UNKNOWN, PoseUncertainty, of_reconstruction
 
 FilterMode = Literal["paper-strict", "paper-loose", "octant", "frustum"]
 # Full angle, one or (horizontal, vertical) for all cameras, or an array [N] or [N, 2]; NaN = unknown.
 FieldOfView = float | tuple[float, float] | np.ndarray
 # Near and far in world units, for all cameras or as an array [N, 2].
 DepthRange = tuple[float, float] | np.ndarray
+
+_LEAST_SHARED = 3  # points that both cameras of a pair are known to see: proof, wherever the poses say they stand
+_CHUNK = 1 << 14  # pairs whose common points are counted at once
 
 
 def filter_pairs(
@@ -26,15 +32,22 @@ def filter_pairs(
     mode: FilterMode = "frustum",
     fov_deg: FieldOfView | None = None,
     depth_range: DepthRange | None = None,
+    points: np.ndarray | None = None,  # [K, 3] coarse points, world
+    visible: np.ndarray | None = None,  # [V, 2] int: camera, point it sees
+    uncertainty: PoseUncertainty | tuple[float, float] | None = None,  # (rad, world units), per axis and camera
 ) -> np.ndarray:
     """[P] bool: which pairs to keep. Protects nothing: connection pairs and nearest neighbours are the caller's care.
 
     paper-strict, paper-loose: the printed state table in WORLD axes, each pair judged as given, (i, j) is not (j, i).
         Turning the scene changes the answer.
     octant: the loose table with everything turned into the first camera's own frame; accepted if either order is.
-    frustum: sampled frusta with a margin, either order. Without a field of view for a camera its pairs are judged by
-        `octant` (logged once). Without a depth range: near 0.5 and far 20 times the median spacing to the fifth
-        neighbour. A tuple or list of two is fov_deg (horizontal, vertical) for all cameras.
+    frustum: the overlap gate. What a camera is likely to see (samples of its frustum; with `points`, its own points
+        and the depths they have in each part of its image) must fall into the other camera's image and depths, not
+        behind what that one sees there; in either order (overlap.py). Three points seen by both are proof by
+        themselves. Images are widened by `uncertainty`; not given, it is that of a coarse reconstruction where there
+        are points, else 10 degrees between two cameras. Without a field of view for a camera its pairs are judged by
+        `octant` (logged once). Without points or a depth range: near 0.5 and far 20 times the median spacing to the
+        fifth neighbour. A tuple or list of two is fov_deg (horizontal, vertical) for all cameras.
     octant and frustum do not change with scale, rotation or translation of the scene.
     """
     centers = check_centers(centers)
@@ -50,13 +63,23 @@ def filter_pairs(
     if not len(pairs):
         return np.zeros(0, bool)
     half_angle = _half_angles(fov_deg, n)
-    depths = _depth_ranges(depth_range, centers)
+    points, visible = _points(points, visible, n)
+    if uncertainty is None:
+        uncertainty = UNKNOWN if points is None else of_reconstruction(centers)
+    if depth_range is None and points is not None:
+        camera, local = local_points(rotations, centers, points, visible)
+        depth_range = depth_ranges(camera, local[:, 2], n)
+    views = frustum_views(half_angle, _depth_ranges(depth_range, centers))
     known = np.isfinite(half_angle).all(1)[pairs].all(1)
     keep = np.zeros(len(pairs), bool)
-    keep[known] = frusta_overlap(pairs[known], rotations, centers, half_angle, depths)
+    if points is not None:
+        views = with_points(views, rotations, centers, points, visible)
+        keep = _shared_points(pairs, visible, n) >= _LEAST_SHARED
+    todo = np.flatnonzero(known & ~keep)
+    keep[todo] = share_views(pairs[todo], rotations, centers, views, _uncertainty(uncertainty))
     if not known.all():
         _say_once("no field of view is known for some cameras: their pairs are filtered by octant instead of frustum")
-        keep[~known] = _octant(pairs[~known], rotations, centers)
+        keep[~known] |= _octant(pairs[~known], rotations, centers)
     return keep
 
 
@@ -64,6 +87,40 @@ def _octant(pairs: np.ndarray, rotations: np.ndarray, centers: np.ndarray) -> np
     accepted = ACCEPTED["loose"]
     forward, backward = (octant_codes(p, rotations, centers) for p in (pairs, pairs[:, ::-1]))
     return accepted[forward] | accepted[backward]
+
+
+def _shared_points(pairs: np.ndarray, visible: np.ndarray, n: int) -> np.ndarray:
+    """[P] int: points that both cameras see."""
+    visible = np.unique(visible, axis=0)
+    count = int(visible[:, 1].max(initial=-1)) + 1
+    seen = sparse.csr_matrix((np.ones(len(visible), np.int32), (visible[:, 0], visible[:, 1])), shape=(n, count))
+    chunks = (pairs[start : start + _CHUNK].T for start in range(0, len(pairs), _CHUNK))
+    return np.concatenate([np.asarray(seen[i].multiply(seen[j]).sum(1)).ravel() for i, j in chunks])
+
+
+def _points(points, visible, n: int) -> tuple[np.ndarray, np.ndarray] | tuple[None, None]:
+    """(points [K, 3], visible [V, 2]), or nothing; ValueError for anything else."""
+    if points is None and visible is None:
+        return None, None
+    if points is None or visible is None:
+        raise ValueError("points, visible: expected both or none")
+    points, visible = np.asarray(points, np.float64), np.asarray(visible)
+    if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+        raise ValueError(f"points: expected [K, 3] finite numbers, got {list(points.shape)}")
+    if visible.size == 0:
+        return None, None
+    if visible.ndim != 2 or visible.shape[1] != 2 or not np.issubdtype(visible.dtype, np.integer):
+        raise ValueError(f"visible: expected [V, 2] int, got {list(visible.shape)} {visible.dtype}")
+    if (visible < 0).any() or (visible >= [n, len(points)]).any():
+        raise ValueError(f"visible: expected cameras below {n} and points below {len(points)}")
+    return points, visible.astype(np.int64)
+
+
+def _uncertainty(value) -> PoseUncertainty:
+    rotation, position = (float(sigma) for sigma in value)
+    if not (0 <= rotation < np.inf and 0 <= position < np.inf):
+        raise ValueError(f"uncertainty: expected two finite numbers of 0 or more, got {rotation}, {position}")
+    return PoseUncertainty(rotation, position)
 
 
 def _half_angles(fov_deg, n: int) -> np.ndarray:

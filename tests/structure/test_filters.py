@@ -199,5 +199,5 @@ def test_chunks_give_the_same_answer(monkeypatch):
     rotations, centers = tracks.random_box(40)
     pairs = _all_pairs(40)
     whole = filter_pairs(pairs, rotations, centers, fov_deg=60.0)
-    monkeypatch.setattr("graphgs.structure.frusta._CHUNK", 37)
+    monkeypatch.setattr("graphgs.structure.overlap._CHUNK", 37)
     np.testing.assert_array_equal(filter_pairs(pairs, rotations, centers, fov_deg=60.0), whole)
