@@ -106,7 +106,10 @@ class ModelCalls:
                 out=out,
                 threads=self.threads,
             )
-        return by_photo_names(Reconstruction.load(out), self.photos) if out.exists() else None
+        model = Reconstruction.load(out) if out.exists() else None
+        if model is None or not model.names:  # filtering may leave no photo at all
+            return None
+        return by_photo_names(model, self.photos)
 
 
 def _off_center(model: Reconstruction) -> float:
