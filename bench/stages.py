@@ -34,9 +34,11 @@ def stages(key: str, work: Work, device: str, *, repeats: int) -> list[Metric]:
     means, quats, scales, opacities, sh_coeffs = work.leaves
     pinholes = torch.stack([work.Ks[:, 0, 0], work.Ks[:, 1, 1], work.Ks[:, 0, 2], work.Ks[:, 1, 2]], dim=-1)
     centers = -(work.viewmats[:, :3, :3] * work.viewmats[:, :3, 3:]).sum(dim=1)
-    options = ProjectOptions(load.width, load.height, near=0.01, far=1e10, eps2d=0.3, antialiased=False)
-    background = means.new_zeros(1, 3)
     shape = "tiles" if device == "cpu" else "gpu"
+    options = ProjectOptions(
+        load.width, load.height, near=0.01, far=1e10, eps2d=0.3, antialiased=False, lanes=shape == "tiles"
+    )
+    background = means.new_zeros(1, 3)
     composite = CompositeOptions(load.width, load.height, median_depth=False, absgrad=False, shape=shape)
 
     def project() -> list[torch.Tensor]:

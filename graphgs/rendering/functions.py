@@ -28,6 +28,7 @@ class ProjectOptions:
     far: float
     eps2d: float  # [px^2]
     antialiased: bool
+    lanes: bool = False  # the CPU's kernels, float32 alone
 
 
 class Project(Function):
@@ -64,6 +65,7 @@ class Project(Function):
                 far=options.far,
                 eps2d=options.eps2d,
                 antialiased=options.antialiased,
+                lanes=options.lanes,
                 threads=get_num_threads(),
             )
         ctx.save_for_backward(means, quats, scales, opacities, viewmats, pinholes)
@@ -96,6 +98,7 @@ class Project(Function):
                 vectors(v_cameras),
                 eps2d=ctx.options.eps2d,
                 antialiased=ctx.options.antialiased,
+                lanes=ctx.options.lanes,
                 threads=get_num_threads(),
             )
         v_viewmats, v_pinholes = None, None

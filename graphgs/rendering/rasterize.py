@@ -80,7 +80,7 @@ def rasterize(
         opacities.contiguous(),
         viewmats,
         pinholes,
-        ProjectOptions(width, height, near, far, eps2d, antialiased),
+        ProjectOptions(width, height, near, far, eps2d, antialiased, lanes=shape == "tiles"),
     )
     if sh_degree is None:
         splat_colors = colors.expand(viewmats.shape[0], -1, -1).contiguous()

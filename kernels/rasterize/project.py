@@ -17,6 +17,7 @@ from graphgs.kernels.gaussian import (
 from graphgs.kernels.launch import launch_range
 from graphgs.kernels.rasterize.buffers import Splats
 from graphgs.kernels.rasterize.constants import ALPHA_MIN, MAX_RADIUS, MAX_SIGMA, MAX_VARIANCE
+from graphgs.kernels.rasterize.project_lanes import launch_lanes, project_lanes, project_lanes_backward
 
 
 @dataclass(frozen=True)
@@ -140,31 +141,17 @@ def project(
     far: float,
     eps2d: float,  # [px^2]
     antialiased: bool,
+    lanes: bool = False,
     threads: int = 1,
 ) -> None:
-    launch_range(
-        project_forward_kernel(gaussians.opacities.dtype),
-        gaussians.opacities.size,
-        inputs=[
-            gaussians.means,
-            gaussians.quats,
-            gaussians.scales,
-            gaussians.opacities,
-            cameras.viewmats,
-            cameras.pinholes,
-            cameras.width,
-            cameras.height,
-            near,
-            far,
-            eps2d,
-            antialiased,
-        ],
-        outputs=[splats.means2d, splats.conics, splats.depths, splats.opacities, radii],
-        device=gaussians.means.device,
-        threads=threads,
-        min_chunk=1024,
-        chunks_per_thread=4,
-    )
+    """`lanes` chooses the CPU's shape, float32 alone."""
+    inputs = [*_inputs(gaussians, cameras), near, far, eps2d, antialiased]
+    outputs = [splats.means2d, splats.conics, splats.depths, splats.opacities, radii]
+    if lanes:
+        launch_lanes(project_lanes, gaussians.opacities.size, inputs=inputs, outputs=outputs, threads=threads)
+    else:
+        kernel = project_forward_kernel(gaussians.opacities.dtype)
+        _launch(kernel, gaussians, inputs=inputs, outputs=outputs, threads=threads)
 
 
 @cache
@@ -278,29 +265,38 @@ def project_backward(
     *,
     eps2d: float,
     antialiased: bool,
+    lanes: bool = False,
     threads: int = 1,
 ) -> None:
+    cotangents = [radii, v_splats.means2d, v_splats.conics, v_splats.depths, v_splats.opacities]
+    inputs = [*_inputs(gaussians, cameras), eps2d, antialiased, *cotangents]
+    outputs = [v_gaussians.means, v_gaussians.quats, v_gaussians.scales, v_gaussians.opacities, v_cameras]
+    if lanes:
+        launch_lanes(project_lanes_backward, gaussians.opacities.size, inputs=inputs, outputs=outputs, threads=threads)
+    else:
+        kernel = project_backward_kernel(gaussians.opacities.dtype)
+        _launch(kernel, gaussians, inputs=inputs, outputs=outputs, threads=threads)
+
+
+def _inputs(gaussians: Gaussians, cameras: Cameras) -> list:
+    return [
+        gaussians.means,
+        gaussians.quats,
+        gaussians.scales,
+        gaussians.opacities,
+        cameras.viewmats,
+        cameras.pinholes,
+        cameras.width,
+        cameras.height,
+    ]
+
+
+def _launch(kernel: wp.Kernel, gaussians: Gaussians, *, inputs: list, outputs: list, threads: int) -> None:
     launch_range(
-        project_backward_kernel(gaussians.opacities.dtype),
+        kernel,
         gaussians.opacities.size,
-        inputs=[
-            gaussians.means,
-            gaussians.quats,
-            gaussians.scales,
-            gaussians.opacities,
-            cameras.viewmats,
-            cameras.pinholes,
-            cameras.width,
-            cameras.height,
-            eps2d,
-            antialiased,
-            radii,
-            v_splats.means2d,
-            v_splats.conics,
-            v_splats.depths,
-            v_splats.opacities,
-        ],
-        outputs=[v_gaussians.means, v_gaussians.quats, v_gaussians.scales, v_gaussians.opacities, v_cameras],
+        inputs=inputs,
+        outputs=outputs,
         device=gaussians.means.device,
         threads=threads,
         min_chunk=1024,
