@@ -47,7 +47,9 @@ class TrainConfig:
     initial_opacity: float = 0.1
     """Opacity of an initial Gaussian."""
 
-    # Adaptive control of the number of Gaussians
+    # Number of Gaussians
+    strategy: Literal["adaptive", "mcmc"] = "adaptive"
+    """Adaptive control (clone, split, prune) or sampling (3DGS as MCMC, Kheradmand et al. 2024)."""
     densify_from_step: int = 500
     """First step that may clone and split, at most `densify_from_fraction` of the run."""
     densify_from_fraction: float = 0.15
@@ -58,16 +60,36 @@ class TrainConfig:
     """Steps between two rounds, at most `densify_interval_fraction` of the run."""
     densify_interval_fraction: float = 0.025
     """Ours: a 1000-step run had 3 rounds; with 14 it ends 2 dB higher on a street that starts from few points."""
+    opacity_reg: float | None = None
+    """Weight of the mean opacity in the loss; None = 0.01 for mcmc (as there), 0 otherwise."""
+    scale_reg: float | None = None
+    """Weight of the mean standard deviation, in scene extents; None = 0.01 for mcmc (as there), 0 otherwise."""
+
+    # Adaptive control
     densify_gradient: float = 2e-4
     """Mean 2D gradient, in half image sizes (NDC), above which a Gaussian is cloned or split."""
+    absgrad: bool = False
+    """Sum the gradient over pixels by size instead (AbsGS, Ye et al. 2024)."""
+    densify_absgrad: float = 8e-4
+    """The threshold then (gsplat, Ye et al. 2024)."""
+    revised_opacity: bool = False
+    """Give both halves of a clone or split the opacity 1 - sqrt(1 - o) (Revising Densification, Rota Bulo et al.)."""
     densify_scale: float = 0.01
     """Largest standard deviation, in scene extents, up to which a Gaussian is cloned; a larger one is split."""
     prune_opacity: float = 0.005
-    """Gaussians less opaque are removed."""
+    """Gaussians less opaque are removed; with mcmc they move to where others are."""
     prune_scale: float = 0.1
     """Gaussians larger, in scene extents, are removed; from the first opacity reset on."""
     opacity_reset_interval: int = 3000
     """Steps between two resets of the opacities to twice `prune_opacity`; none in runs too short to recover."""
+
+    # MCMC (defaults are the authors')
+    mcmc_until_fraction: float = 0.8333
+    """Share of the run after which Gaussians neither move nor are added (25k of 30k)."""
+    mcmc_growth: float = 0.05
+    """Share of Gaussians that a round may add."""
+    mcmc_noise: float = 5e5
+    """Size of the noise on the centres, times their learning rate."""
 
     # Consistency between views (METHOD 6)
     consistency: Literal["graphgs", "paper", "none"] = "graphgs"

@@ -84,6 +84,18 @@ class Parameters:
                 moments[name] = torch.cat([moments[name][kept], torch.zeros_like(new)])
 
     @torch.no_grad()
+    def overwrite(
+        self,
+        rows: Tensor,  # [M] int64, distinct
+        values: dict[str, Tensor],  # [M, ...] per group
+    ) -> None:
+        """Put other Gaussians into these rows and forget their moments."""
+        for name in GROUPS:
+            self.values[name][rows] = values[name]
+            self.moments1[name][rows] = 0.0
+            self.moments2[name][rows] = 0.0
+
+    @torch.no_grad()
     def cap_opacities(self, logit: float) -> None:
         """Lower every opacity to at most `logit` and forget its moments."""
         self.values["logit_opacities"].clamp_(max=logit)

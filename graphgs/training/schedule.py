@@ -18,6 +18,7 @@ class Schedule:
             config.densify_interval, max(LEAST_INTERVAL, round(config.densify_interval_fraction * steps))
         )
         self.densify_until = round(config.densify_until_fraction * steps)
+        self._relocate_until = round(config.mcmc_until_fraction * steps)
         self.consistency_from = round(config.consistency_from_fraction * steps)
 
     def rates(self, step: int, *, extent: float) -> dict[str, float]:
@@ -50,6 +51,11 @@ class Schedule:
         """Whether a round follows this step: a full interval has been seen and the window is open."""
         done = step + 1
         return self.densify_from <= done < self.densify_until and done % self.densify_interval == 0
+
+    def relocates_after(self, step: int) -> bool:
+        """Whether dead Gaussians move and new ones appear after this step (MCMC), in the same rounds but for longer."""
+        done = step + 1
+        return self.densify_from <= done < self._relocate_until and done % self.densify_interval == 0
 
     def densify_progress(self, step: int) -> float:
         """Share of the densification rounds that are over once the one after this step is; 1 after the last."""

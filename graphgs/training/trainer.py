@@ -16,8 +16,9 @@ from graphgs.training.exposure import Exposure
 from graphgs.training.images import TrainingImages
 from graphgs.training.parameters import Parameters
 from graphgs.training.pose_refinement import PoseRefinement
+from graphgs.training.regularisation import Regularisation
 from graphgs.training.schedule import Schedule
-from graphgs.training.strategy import AdaptiveControl, Strategy
+from graphgs.training.strategy import Strategy, make_strategy
 
 RECOVERY_RATE = 0.5  # learning rates after a roll-back
 
@@ -43,10 +44,11 @@ class Trainer:
         self.recoveries = 0
         self.between_steps = True  # False while a step is half applied
         self.parameters = Parameters.from_splats(initial)
-        self.strategy: Strategy = AdaptiveControl(
+        self.strategy: Strategy = make_strategy(
             config, self.schedule, extent=extent, seed=seed, count=len(initial), device=device
         )
         self._extent = extent
+        self._regularisation = Regularisation(config, extent=extent)
         self._Ks = torch.as_tensor(views.Ks, dtype=torch.float32, device=device)
         self._viewmats = torch.as_tensor(views.viewmats, dtype=torch.float32, device=device)
         self._exposure = None if config.exposure == "none" else Exposure(config, views.is_test, device=device)
@@ -92,8 +94,8 @@ class Trainer:
         """Render, compare, differentiate: the loss, detached, and the render it came from."""
         view, photo, mask = self._images.of_step(step)
         degree = self.schedule.sh_degree(step)
-        gaussians = self._gaussians(degree)
-        out = self._render(view, gaussians, degree, self._viewmat(view, fitted_in=step))
+        gaussians, absgrad = self._gaussians(degree), self.strategy.wants_absgrad(step)
+        out = self._render(view, gaussians, degree, self._viewmat(view, fitted_in=step), absgrad=absgrad)
         colors = out.colors if self._exposure is None else self._exposure.apply(view, out.colors)
         loss = photometric_loss(colors, photo, mask, ssim_weight=self.config.ssim_weight)
         if self._exposure is not None:
@@ -111,6 +113,8 @@ class Trainer:
             )
             if extra is not None:
                 loss = loss + self.config.lambda_consistency * extra
+        if (penalty := self._regularisation.loss(*gaussians[2:4])) is not None:
+            loss = loss + penalty
         self.strategy.before_backward(step, out)
         loss.backward()
         return loss.detach(), out
@@ -175,6 +179,8 @@ class Trainer:
         gaussians: tuple[Tensor, ...] | list[Tensor],
         degree: int,
         viewmat: Tensor,  # [1, 4, 4]
+        *,
+        absgrad: bool = False,
     ) -> RenderOutput:
         width, height = (int(side) for side in self.views.sizes[view])
         return rasterize(
@@ -184,6 +190,7 @@ class Trainer:
             width,
             height,
             sh_degree=degree,
+            absgrad=absgrad,
             validate=False,  # the run looks at the losses, and rolls back
         )
 

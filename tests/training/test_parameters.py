@@ -64,6 +64,19 @@ def test_rebuild_keeps_rows_with_their_moments():
     _descend(parameters, 2, 1)  # still trainable
 
 
+def test_overwritten_rows_forget_their_moments():
+    parameters = Parameters.from_splats(_splats())
+    _descend(parameters, 0, 2)
+    before = {name: tensor.clone() for name, tensor in parameters.state().items()}
+    parameters.overwrite(
+        torch.tensor([3, 0]), {name: torch.ones_like(value.detach()[:2]) for name, value in parameters.values.items()}
+    )
+    for name, tensor in parameters.state().items():
+        assert torch.equal(tensor[[1, 2, 4]], before[name][[1, 2, 4]])
+        assert (tensor[[0, 3]] == (1.0 if name.startswith("values.") else 0.0)).all()
+    _descend(parameters, 2, 1)  # still trainable
+
+
 def test_state_restores_every_bit():
     parameters = Parameters.from_splats(_splats())
     _descend(parameters, 0, 2)

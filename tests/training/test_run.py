@@ -182,7 +182,7 @@ def test_no_test_view_is_ever_read_or_rendered(scene, tmp_path, monkeypatch, sou
     monkeypatch.setattr(
         trainer_module.Trainer,
         "_render",
-        lambda self, view, *rest: (rendered.add(view), render_view(self, view, *rest))[1],
+        lambda self, view, *rest, **options: (rendered.add(view), render_view(self, view, *rest, **options))[1],
     )
     _train(scene, tmp_path, dataclasses.replace(SHORT, consistency_source=source, consistency_from_fraction=0.0))
     used = read | rendered

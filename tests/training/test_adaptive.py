@@ -7,20 +7,20 @@ import pytest
 import torch
 
 from graphgs.rendering.splats import Splats
+from graphgs.training.adaptive import AdaptiveControl
 from graphgs.training.config import TrainConfig
 from graphgs.training.parameters import Parameters
 from graphgs.training.schedule import Schedule
-from graphgs.training.strategy import AdaptiveControl
 
 ROUND = 14_899  # the last round follows this step: the whole budget is open
 EXTENT = 2.0
 SMALL, LARGE = 0.001, 0.05  # standard deviations in extents; the border is 0.01
 
 
-def _setting(sizes, opacities, *, max_splats=100, seed=0):
+def _setting(sizes, opacities, *, max_splats=100, seed=0, **options):
     """Gaussians far apart on x, of given sizes (in extents) and opacities."""
     count = len(sizes)
-    config = TrainConfig(steps=30_000, max_splats=max_splats)
+    config = TrainConfig(steps=30_000, max_splats=max_splats, **options)
     splats = Splats(
         means=torch.stack([10.0 * torch.arange(count), torch.zeros(count), torch.zeros(count)], 1),
         quats=torch.tensor([1.0, 0, 0, 0]).repeat(count, 1),
@@ -41,7 +41,7 @@ def _see(strategy, pulls, *, width=64, height=32):
         0,
         SimpleNamespace(
             colors=torch.zeros(1, height, width, 3),
-            means2d=SimpleNamespace(grad=gradient),
+            means2d=SimpleNamespace(grad=gradient, absgrad=4 * gradient),
             radii=(5 * seen[None, :, None].int()).repeat(1, 1, 2),
         ),
     )
@@ -142,6 +142,34 @@ def test_splits_depend_on_the_seed_and_the_step_alone():
 
     assert torch.equal(means(1), means(1))
     assert not torch.equal(means(1), means(2))
+
+
+@pytest.mark.parametrize(("absgrad", "grown"), [(False, [0, 1]), (True, [0])])
+def test_absolute_gradients_have_a_threshold_of_their_own(absgrad, grown):
+    strategy, parameters = _setting([SMALL] * 3, [0.5] * 3, absgrad=absgrad, densify_absgrad=1.1e-3)
+    assert strategy.wants_absgrad(0) is absgrad
+    assert not strategy.wants_absgrad(20_000)
+    _see(strategy, [3e-4, 2.5e-4, 1e-4])  # and four times as much in absolute value
+    strategy.after_step(ROUND, parameters)
+    x = parameters.values["means"].detach()[:, 0]
+    assert [g for g in range(3) if int((x == 10 * g).sum()) == 2] == grown
+
+
+def test_revised_opacity_lets_the_same_light_through():
+    strategy, parameters = _setting([SMALL, LARGE, SMALL, SMALL], [0.5, 0.96, 0.5, 0.006], revised_opacity=True)
+    _see(strategy, [1e-3, 1e-3, 0.0, 1e-3])
+    strategy.after_step(ROUND, parameters)
+    x = parameters.values["means"].detach()[:, 0]
+    opacities = torch.sigmoid(parameters.values["logit_opacities"].detach())
+    through = [float(torch.prod(1 - opacities[(x - 10 * g).abs() < 4])) for g in range(4)]
+    assert through == pytest.approx([0.5, 0.04, 0.5, 0.994], rel=1e-5)
+
+
+def test_rows_removed_by_others_leave_the_statistics_of_the_rest():
+    strategy, _ = _setting([SMALL] * 3, [0.5] * 3)
+    _see(strategy, [1e-3, 0.0, 2e-3])
+    strategy.keep_rows(torch.tensor([0, 2]))
+    torch.testing.assert_close(strategy.state()["pull"], torch.tensor([1e-3, 2e-3]))
 
 
 def test_state_carries_the_statistics():
