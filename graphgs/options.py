@@ -25,14 +25,16 @@ class Options:
     threads: int | None = None
     """CPU threads; default: the CPUs this process may use."""
     prior: str | None = None
-    """What chooses the pairs: auto, sequence, gps, gps=FILE, poses=FILE. It never becomes the result, but GPS makes it
-    metric, with z up and y north."""
+    """What chooses the pairs: auto, learned, sequence, gps, gps=FILE, poses=FILE. It never becomes the result, but GPS
+    makes it metric, with z up and y north."""
     poses: Literal["keep", "refine", "prior"] | None = None
     """Poses the input carries: keep, refine or prior (choose pairs only)."""
     pairs: Literal["graphgs", "paper", "exhaustive", "sequential"] | None = None
     """Pair selection: graphgs, paper, exhaustive, sequential."""
     filter: Literal["frustum", "octant", "paper-strict", "paper-loose", "none"] | None = None
     """Pair filter: frustum, octant, paper-strict, paper-loose, none."""
+    pairs_extra: Path | None = None
+    """A file of pairs to match besides, one "a.jpg b.jpg" a line."""
     allow_partial: bool = False
     """Train also when only part of the photos could be placed."""
     config: Path | None = None
@@ -50,4 +52,5 @@ SETTING_OF_OPTION = {
     "max_splats": "training.max_splats",
     "pairs": "pairing.pairs",
     "filter": "pairing.filter",
+    "pairs_extra": "pairing.extra_file",
 }

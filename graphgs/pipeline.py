@@ -23,6 +23,7 @@ from graphgs.scene.views import Views
 from graphgs.sources import Photos, fingerprint, load_photos
 from graphgs.structure.candidates import candidate_pairs
 from graphgs.structure.config import StructureConfig
+from graphgs.structure.extra_pairs import read_extra_pairs
 from graphgs.structure.feature_cache import FeatureCache
 from graphgs.structure.given import keep_given, map_given, needs_matching
 from graphgs.structure.mapping import map_fine
@@ -34,11 +35,11 @@ from graphgs.structure.result import Structure
 from graphgs.structure.undistort import undistort
 from graphgs.training import train
 from graphgs.training.trained import Trained
-from graphgs.workspace import Outcome, Stage, Workspace
+from graphgs.workspace import Outcome, Stage, Workspace, digest
 
 PHOTOS = Stage(1, "photos", 2)
 COARSE = Stage(2, "coarse", 1)
-PAIRS = Stage(3, "pairs", 1)
+PAIRS = Stage(3, "pairs", 2)
 MATCHES = Stage(4, "matches", 1)
 MAPPING = Stage(5, "mapping", 1)
 VIEWS = Stage(6, "views", 1)
@@ -70,6 +71,7 @@ READS: dict[Stage, tuple[str, ...]] = {
 # Settings that change how a stage works, never what it makes.
 WITHOUT_INFLUENCE = {
     "run.device", "run.allow_partial", "structure.chunk_pairs", "training.image_cache_bytes", "training.checkpoint_s",
+    "pairing.extra_file",  # its pairs are in the key
 }  # fmt: skip
 
 _TITLES = {
@@ -276,6 +278,7 @@ def decode_side(config: Config) -> int:
 
 def _matched(run: Run, photos: Photos) -> tuple[Prior, Pairs, Matches]:
     config, reporter, threads, seed = run.config, run.reporter, run.threads, run.config.run.seed
+    extra = read_extra_pairs(config.pairing.extra_file, photos.names)
     cache = FeatureCache(run.workspace.cache / "features")
     prior = run.stage(
         COARSE,
@@ -290,8 +293,9 @@ def _matched(run: Run, photos: Photos) -> tuple[Prior, Pairs, Matches]:
     pairs = run.stage(
         PAIRS,
         [COARSE],
-        lambda folder, scratch: candidate_pairs(config.pairing, prior, reporter=reporter, threads=threads),
+        lambda folder, scratch: candidate_pairs(config.pairing, prior, extra=extra, reporter=reporter, threads=threads),
         Pairs.load,
+        source_key=digest(extra.tolist()) if len(extra) else "",
     )
     matches = run.stage(
         MATCHES,

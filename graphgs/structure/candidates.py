@@ -1,44 +1,56 @@
 """From a prior to the pairs to match: what pairing needs to know about each kind of prior."""
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 
 from graphgs.progress import Reporter
 from graphgs.scene.reconstruction import Reconstruction
+from graphgs.scene.similarity import align_robust
 from graphgs.structure.cameras import SharedCameras
 from graphgs.structure.pairing import Pairs, make_pairs
 from graphgs.structure.pairing_config import PairingConfig
-from graphgs.structure.prior import Prior
+from graphgs.structure.prior import Prior, poses_by_name
+from graphgs.structure.uncertainty import GPS, UNKNOWN, PoseUncertainty, measured, of_reconstruction
 
-_DEPTH_PERCENTILES = (2.0, 98.0)  # of a camera's points: outliers must not stretch its frustum
-_FEWEST_POINTS = 20  # a camera with fewer takes the depths of all cameras
+_FEWEST_COMMON = 4  # cameras that a foreign prior shares with our own reconstruction, to bring both into one frame
 
 
-def candidate_pairs(config: PairingConfig, prior: Prior, *, reporter: Reporter, threads: int) -> Pairs:
+def candidate_pairs(
+    config: PairingConfig,
+    prior: Prior,
+    *,
+    extra: np.ndarray | None = None,  # [Q, 2] int into the prior's names: a user's own pairs
+    reporter: Reporter,
+    threads: int,
+) -> Pairs:
     """Concentric, filtered pairs of the placed photos; look-alikes and file neighbours of those without a pose."""
     names = np.array(prior.names, dtype=object)
     placed, unplaced = np.flatnonzero(prior.placed), np.flatnonzero(~prior.placed)
+    evidence: dict[str, Any] = {"rotations": prior.rotations[placed]}
     if prior.source == "sequence":
         config = dataclasses.replace(config, pairs="sequential")
-    elif not prior.oriented:
+    elif prior.source in ("auto", "given"):
+        evidence |= _own_evidence(prior)
+    else:
+        evidence |= _foreign_evidence(prior)
+    if not (prior.oriented or "judged" in evidence):
         config = dataclasses.replace(config, filter="none")
     row = np.empty(len(names), dtype=np.int64)
     row[placed], row[unplaced] = np.arange(len(placed)), len(placed) + np.arange(len(unplaced))
     in_order = np.stack([np.arange(len(names) - 1), np.arange(1, len(names))], axis=1)
-    extra = np.concatenate([prior.similar_pairs(unplaced), in_order[np.isin(in_order, unplaced).any(1)]])
-    same_frame = prior.source in ("auto", "given") and prior.reconstruction is not None
+    more = [prior.similar_pairs(unplaced), in_order[np.isin(in_order, unplaced).any(1)]]
     return make_pairs(
         config,
         list(names[placed]),
-        prior.rotations[placed],
-        prior.centers[placed],
+        centers=prior.centers[placed],
         fov_deg=fields_of_view(prior.cameras)[placed],
-        depth_range=depth_ranges(prior.reconstruction) if same_frame else None,
         unplaced=list(names[unplaced]),
-        extra=row[extra],
+        extra=row[np.concatenate([*more, *([] if extra is None else [extra])])],
         reporter=reporter,
         threads=threads,
+        **evidence | {"uncertainty": _as_set(config, evidence.get("uncertainty"))},
     )
 
 
@@ -52,21 +64,57 @@ def fields_of_view(shared: SharedCameras) -> np.ndarray:
     return np.array(per_camera)[shared.camera_ids]
 
 
-def depth_ranges(reconstruction: Reconstruction) -> np.ndarray | None:
-    """[N, 2] near and far of the points each camera sees, world units; None without points."""
-    if len(reconstruction.points) == 0:
-        return None
+def _own_evidence(prior: Prior) -> dict[str, Any]:
+    """The poses are those of the reconstruction that its points belong to."""
+    if prior.reconstruction is None or len(prior.reconstruction.points) == 0:
+        return {}
+    names = _placed_names(prior)
+    points, visible = _points(prior.reconstruction, names)
+    return {"points": points, "visible": visible, "uncertainty": of_reconstruction(prior.centers[prior.placed])}
+
+
+def _foreign_evidence(prior: Prior) -> dict[str, Any]:
+    """The poses are from elsewhere: our own reconstruction, carried into their frame, lends its points and shows how
+    far the poses are off. Positions alone (GPS) get its rotations too, where it has them."""
+    own, names = prior.reconstruction, _placed_names(prior)
+    if own is None:
+        return {}
+    common, rotations, centers = poses_by_name(names, own)
+    if common.sum() < _FEWEST_COMMON:
+        return {}
+    prior_from_own = align_robust(centers[common], prior.centers[prior.placed][common])
+    own = own.transformed(prior_from_own)
+    _, rotations, centers = poses_by_name(names, own)
+    points, visible = _points(own, names)
+    evidence: dict[str, Any] = {"points": points, "visible": visible} if len(points) else {}
+    if not prior.oriented:
+        return evidence | {"rotations": rotations, "judged": common, "uncertainty": GPS}
+    given = prior.rotations[prior.placed][common], prior.centers[prior.placed][common]
+    off = measured(*given, rotations[common], centers[common])
+    floor = of_reconstruction(given[1])
+    return evidence | {"uncertainty": PoseUncertainty(*np.maximum(off, floor))}
+
+
+def _placed_names(prior: Prior) -> tuple[str, ...]:
+    return tuple(name for name, placed in zip(prior.names, prior.placed, strict=True) if placed)
+
+
+def _points(reconstruction: Reconstruction, names: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """(points [K, 3], visible [V, 2]: index into `names`, point) of a reconstruction."""
+    index = {name: k for k, name in enumerate(names)}
+    row = np.array([index.get(name, -1) for name in reconstruction.names], dtype=np.int64)
+    camera = row[reconstruction.track_images]
     point = np.repeat(np.arange(len(reconstruction.points)), reconstruction.track_lengths)
-    camera = reconstruction.track_images
-    depth = (
-        np.einsum("tj,tj->t", reconstruction.rotations[camera, 2], reconstruction.points[point])
-        + reconstruction.translations[camera, 2]
-    )
-    camera, depth = camera[depth > 0], depth[depth > 0]
-    ranges = np.tile(np.percentile(depth, _DEPTH_PERCENTILES), (len(reconstruction.names), 1))
-    for k in range(len(ranges)):
-        own = depth[camera == k]
-        if len(own) >= _FEWEST_POINTS:
-            ranges[k] = np.percentile(own, _DEPTH_PERCENTILES)
-    ranges[:, 1] = np.maximum(ranges[:, 1], ranges[:, 0] * 1.01)
-    return ranges
+    return reconstruction.points, np.stack([camera, point], axis=1)[camera >= 0]
+
+
+def _as_set(config: PairingConfig, known: PoseUncertainty | None) -> PoseUncertainty | None:
+    """What the user says about the poses, before what is known."""
+    if config.rotation_sigma_deg is None and config.position_sigma is None:
+        return known
+    rotation, position = known or UNKNOWN
+    if config.rotation_sigma_deg is not None:
+        rotation = float(np.radians(config.rotation_sigma_deg))
+    if config.position_sigma is not None:
+        position = config.position_sigma
+    return PoseUncertainty(rotation, position)

@@ -141,7 +141,7 @@ def _cells(uv: np.ndarray) -> np.ndarray:
 
 
 def _nearest_filled(filled: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """[K, CELLS] int: the nearest cell [K, CELLS] bool that has points, by distance in the image; the first of equals."""
+    """[K, CELLS] int: the nearest cell that has points ([K, CELLS] bool), by distance in the image."""
     apart = _CELL_CENTERS[:, None] - _CELL_CENTERS[None]
     result = np.empty(filled.shape, np.int64)
     for start in range(0, len(filled), _CHUNK):

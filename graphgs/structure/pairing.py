@@ -23,6 +23,7 @@ from graphgs.structure.pair_set import (
     merge_pairs,
 )
 from graphgs.structure.pairing_config import PairingConfig
+from graphgs.structure.uncertainty import PoseUncertainty
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,11 @@ def make_pairs(
     centers: np.ndarray,  # [N, 3] world
     *,
     fov_deg: FieldOfView | None = None,  # unknown: the frustum filter falls back to octant
-    depth_range: DepthRange | None = None,  # of what the cameras look at; unknown: guessed from their spacing
+    depth_range: DepthRange | None = None,  # of what the cameras look at; unknown: guessed from points or spacing
+    points: np.ndarray | None = None,  # [K, 3] coarse points, world
+    visible: np.ndarray | None = None,  # [V, 2] int: camera, point it sees
+    uncertainty: PoseUncertainty | None = None,  # of the poses, for the frustum filter
+    judged: np.ndarray | None = None,  # [N] bool: rotation known; pairs with other cameras are not filtered
     ordered: bool = True,  # neighbours in `names` were taken one after the other
     unplaced: Sequence[str] = (),  # [U] photos without a pose; index N + k in `extra`
     extra: np.ndarray | None = None,  # [Q, 2] int: pairs from elsewhere (retrieval), never filtered
@@ -91,9 +96,14 @@ def make_pairs(
         )  # fmt: skip
         used_filter = config.filter
         if used_filter != "none":
-            keep = filter_pairs(pairs, rotations, centers, mode=config.filter, fov_deg=fov_deg, depth_range=depth_range)
             # The paper exempts only the connection set; the nearest are what ties a reconstruction together locally.
-            keep |= (kinds & (CONNECTION if paper else CONNECTION | NEIGHBOUR)) != 0
+            keep = (kinds & (CONNECTION if paper else CONNECTION | NEIGHBOUR)) != 0
+            if judged is not None:
+                keep |= ~judged[pairs].all(1)
+            keep[~keep] = filter_pairs(
+                pairs[~keep], rotations, centers, mode=config.filter, fov_deg=fov_deg, depth_range=depth_range,
+                points=points, visible=visible, uncertainty=uncertainty,
+            )  # fmt: skip
             if not paper:
                 keep |= _rescued(pairs, keep, centers, config.least_per_camera)
             dropped = int((~keep).sum())

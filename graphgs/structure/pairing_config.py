@@ -12,6 +12,12 @@ class PairingConfig:
     """graphgs: concentric pairs, filtered, with the r nearest protected; paper: as printed; the rest are baselines."""
     filter: Literal["frustum", "octant", "paper-strict", "paper-loose", "none"] = "frustum"
     """What drops concentric pairs that cannot share a view; not used by exhaustive and sequential."""
+    extra_file: str | None = None
+    """A file of further pairs to match, one "a.jpg b.jpg" a line; never filtered."""
+    rotation_sigma_deg: float | None = None
+    """[deg] standard deviation of the prior's rotations per axis; none: by its kind, measured where it can be."""
+    position_sigma: float | None = None
+    """[units of the prior's world] standard deviation of its positions per axis; none: as above."""
     r: int = 5
     """[cameras] nearest ones always taken (GraphGS, section 3.1); the window of sequential."""
     h: int = 20

@@ -19,6 +19,8 @@ class PoseUncertainty(NamedTuple):
 # Nothing is known about the poses: 10 degrees between two cameras. With up to 0.3 rad and 0.3 camera spacings of noise
 # at least 99.9 % of the pairs that share a tenth of a frustum are kept (docs/decisions/0011-filters.md).
 UNKNOWN = PoseUncertainty(np.deg2rad(10.0) / np.sqrt(2.0), 0.0)
+# A phone's GPS [m], with rotations of our own reconstruction, which may have drifted away from it.
+GPS = PoseUncertainty(np.deg2rad(5.0), 3.0)
 
 
 def of_reconstruction(centers: np.ndarray) -> PoseUncertainty:
