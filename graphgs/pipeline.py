@@ -59,7 +59,8 @@ READS: dict[Stage, tuple[str, ...]] = {
     PAIRS: ("pairing.*",),
     MATCHES: ("run.seed", "structure.fine_*", "structure.min_inliers", "structure.bridge_pairs"),
     MAPPING: (
-        "run.seed", "structure.poses", "structure.min_inliers", "structure.max_error_px", "structure.min_angle_deg",
+        "run.seed", "structure.poses", "structure.mapper", "structure.min_inliers", "structure.max_error_px",
+        "structure.min_angle_deg",
         "structure.min_registered", "structure.max_rotation_*", "structure.max_camera_shift", "structure.rig_*",
     ),
     VIEWS: ("structure.max_side",),

@@ -47,6 +47,9 @@ class StructureConfig:
     """Share of the chosen group's photos that must be placed for the result to be accepted."""
     max_rotation_median_deg: float = 2.0
     """[deg] largest median change of pairwise rotation between first and final reconstruction."""
+    mapper: Literal["ladder", "incremental", "global"] = "ladder"
+    """ladder: from the coarse poses, and further steps where the result is not accepted; the rest are COLMAP's own ways
+    on the same matches, as baselines."""
     max_rotation_p99_deg: float = 10.0
     """[deg] largest 99th percentile of the same."""
     max_camera_shift: float = 0.05

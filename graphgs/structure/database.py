@@ -34,6 +34,13 @@ def link_or_copy(source: Path, target: Path) -> None:
         shutil.copyfile(source, target)
 
 
+def copy_whole(source: Path, target: Path) -> None:
+    """A copy to write to, which is whole or not there."""
+    partial = target.with_suffix(".partial")
+    shutil.copyfile(source, partial)
+    partial.rename(target)
+
+
 def by_photo_names(reconstruction: Reconstruction, photos: Photos) -> Reconstruction:
     """Photo names in place of pixel files. Both sort alike, since pixel files are numbered in the order of names."""
     name_of = {photo.pixels: photo.name for photo in photos.photos}

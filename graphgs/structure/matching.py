@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 import shutil
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -78,7 +79,7 @@ def match_pairs(
     scratch.mkdir(parents=True, exist_ok=True)
     database = scratch / "database.db"
     n = len(photos.photos)
-    tried = _in_photo_order(pairs, photos.names)
+    tried = in_photo_order(pairs, photos.names)
     features = extract_features(
         photos,
         scratch / "features",
@@ -89,28 +90,22 @@ def match_pairs(
         progress=lambda done, total: reporter.progress(done, total, "features"),
         cache=cache,
     )
-    verification = {"min_num_inliers": config.min_inliers, "ransac": {"random_seed": seed}}
-    basis = _basis(photos, prior, scratch / "features", verification)
+    basis = _basis(config, photos, prior, scratch / "features", seed)
     with ColmapWorker(scratch) as worker:
         if earlier is not None and not database.exists():
             _carry_over(worker, earlier, basis, tried, database, reporter)
         create_database(worker, database, photos, prior.cameras, scratch / "features")
 
         def verify(chosen: list[tuple[int, int]], note: str) -> tuple[np.ndarray, np.ndarray]:
-            worker.run(
-                "match",
+            return match_and_verify(
+                worker,
+                database,
+                chosen,
+                config,
                 progress=lambda done, total: reporter.progress(done, total, note),
-                database=database,
-                pairs=chosen,
-                chunk_pairs=config.chunk_pairs,
-                matching={},
-                verification=verification,
                 threads=threads,
-                scratch=scratch,
+                seed=seed,
             )
-            worker.run("verified", database=database, out=scratch / "verified.npz")
-            with np.load(scratch / "verified.npz", allow_pickle=False) as arrays:
-                return arrays["edges"], arrays["inliers"]
 
         edges, inliers = verify(tried, "matching")
         for _ in range(_BRIDGE_ROUNDS):
@@ -139,10 +134,43 @@ def match_pairs(
     return Matches(photos.names, database, edges, inliers, features, len(tried), basis)
 
 
-def _basis(photos: Photos, prior: Prior, features: Path, verification: dict) -> str:
+def match_and_verify(
+    worker: ColmapWorker,
+    database: Path,
+    pairs: list[tuple[int, int]],  # image indices i < j
+    config: StructureConfig,
+    *,
+    progress: Callable[[int, int], None],
+    threads: int,
+    seed: int,
+) -> tuple[np.ndarray, np.ndarray]:
+    """(edges [E, 2], inliers [E]) of all verified pairs in the database, after these have been matched too. It is
+    worked on in chunks: a kill loses one of them at most."""
+    worker.run(
+        "match",
+        progress=progress,
+        database=database,
+        pairs=pairs,
+        chunk_pairs=config.chunk_pairs,
+        matching={},
+        verification=_verification(config, seed),
+        threads=threads,
+        scratch=database.parent,
+    )
+    found = database.parent / "verified.npz"
+    worker.run("verified", database=database, out=found)
+    with np.load(found, allow_pickle=False) as arrays:
+        return arrays["edges"], arrays["inliers"]
+
+
+def _verification(config: StructureConfig, seed: int) -> dict:
+    return {"min_num_inliers": config.min_inliers, "ransac": {"random_seed": seed}}
+
+
+def _basis(config: StructureConfig, photos: Photos, prior: Prior, features: Path, seed: int) -> str:
     """What one pair's matches are made from: features, intrinsics (verification is calibrated), limits."""
     content = hashlib.sha256(json.dumps([prior.cameras.records(), prior.cameras.camera_ids.tolist()]).encode())
-    content.update(json.dumps(verification, sort_keys=True).encode())
+    content.update(json.dumps(_verification(config, seed), sort_keys=True).encode())
     for photo in photos.photos:
         content.update((features / f"{photo.pixels}.npz").read_bytes())
     return content.hexdigest()
@@ -169,7 +197,7 @@ def _carry_over(
     reporter.info(f"{kept} of {len(pairs)} pairs are matched already")
 
 
-def _in_photo_order(pairs: Pairs, names: tuple[str, ...]) -> list[tuple[int, int]]:
+def in_photo_order(pairs: Pairs, names: tuple[str, ...]) -> list[tuple[int, int]]:
     """The candidates as sorted indices into the photos (pairing counts the placed photos first)."""
     index = {name: k for k, name in enumerate(names)}
     row = np.array([index[name] for name in pairs.names], dtype=np.int64)

@@ -69,6 +69,10 @@ class ModelCalls:
         model = None if start is None else self.scratch / start / "colmap"
         return self._model(name, "map_incrementally", start=model, options=options, seed=self.seed + seed_offset)
 
+    def globally(self, name: str) -> Reconstruction | None:
+        """COLMAP's global mapper (GLOMAP)."""
+        return self._model(name, "map_globally", refine=not self.prior.hold_intrinsics)
+
     def rig_adjusted(self, model: str, rigs: list[tuple[Rig, RigPose]]) -> Reconstruction | None:
         """The model of that name after bundle adjustment with one place on its rig per camera."""
         files = [photo.pixels for photo in self.photos.photos]

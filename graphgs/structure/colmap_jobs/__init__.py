@@ -21,7 +21,7 @@ from graphgs.structure.colmap_jobs.database import (
     verified,
 )
 from graphgs.structure.colmap_jobs.features import extract
-from graphgs.structure.colmap_jobs.mapping import map_incrementally, triangulate
+from graphgs.structure.colmap_jobs.mapping import map_globally, map_incrementally, triangulate
 from graphgs.structure.colmap_jobs.rigs import adjust_rigs
 
 __all__ = ["JOBS", "pycolmap"]
@@ -38,6 +38,7 @@ JOBS = {
         fundamentals,
         settle,
         map_incrementally,
+        map_globally,
         triangulate,
         adjust_rigs,
     )

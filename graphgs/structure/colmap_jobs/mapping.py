@@ -1,6 +1,7 @@
 """Models from the matches in a database: from nothing, or from poses."""
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import pycolmap
@@ -33,17 +34,32 @@ def map_incrementally(
         registered += 1
         progress(min(registered, total), total)
 
-    models = Path(out + ".models")
-    shutil.rmtree(models, ignore_errors=True)
-    models.mkdir(parents=True)
-    found = pycolmap.incremental_mapping(
-        database, models, models, settings, input_path=start or "", next_image_callback=count_one
+    return _largest(
+        out,
+        lambda models: pycolmap.incremental_mapping(
+            database, models, models, settings, input_path=start or "", next_image_callback=count_one
+        ),
     )
-    shutil.rmtree(models)
-    if not found:
-        return {"registered": 0}
-    best = max(found, key=lambda k: (found[k].num_reg_images(), -k))
-    return save(found[best], out)
+
+
+def map_globally(
+    database: str,
+    out: str,  # folder for the model
+    refine: bool,  # intrinsics too
+    seed: int,
+    threads: int,
+    progress: Progress,
+) -> dict:
+    """COLMAP's global mapper (GLOMAP, Pan et al. 2024); keeps the model with the most images. It cannot be stopped but
+    by ending the process."""
+    pycolmap.set_random_seed(seed)
+    settings = pycolmap.GlobalPipelineOptions(num_threads=threads, random_seed=seed)
+    settings.mapper.num_threads, settings.mapper.random_seed = threads, seed
+    adjusting = settings.mapper.bundle_adjustment
+    adjusting.refine_focal_length = adjusting.refine_extra_params = refine
+    adjusting.ceres.use_gpu = settings.mapper.global_positioning.use_gpu = False
+    progress(0, 1)
+    return _largest(out, lambda models: pycolmap.global_mapping(database, models, models, settings))
 
 
 def triangulate(
@@ -84,6 +100,19 @@ def triangulate(
         progress(index + 1, len(rounds))
     mapper.end_reconstruction(discard=False)
     return save(model, out)
+
+
+def _largest(out: str, run: Callable[[Path], dict[int, pycolmap.Reconstruction]]) -> dict:
+    """Keep the model with the most images that a mapper makes in a folder of its own."""
+    models = Path(out + ".models")
+    shutil.rmtree(models, ignore_errors=True)
+    models.mkdir(parents=True)
+    found = run(models)
+    shutil.rmtree(models)
+    if not found:
+        return {"registered": 0}
+    best = max(found, key=lambda k: (found[k].num_reg_images(), -k))
+    return save(found[best], out)
 
 
 def _round(mapper, model, step: dict, refine: list[str], seed: int, threads: int) -> None:

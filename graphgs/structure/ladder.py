@@ -1,0 +1,150 @@
+"""The ladder of reconstructions: a step is tried only where none before it was accepted.
+
+1. Triangulate the fine matches from the coarse poses, then two rounds of bundle adjustment and filtering.
+2. Photos the coarse reconstruction missed: COLMAP's incremental mapper with the poses of 1 held, then 1 from its poses.
+3. The incremental mapper from nothing on the same sparse graph, with two seeds, then 1 from its poses.
+4. More pairs (twice the nearest cameras, all look-alikes), and 1 to 3 again.
+5. Where EXIF tells the focal length of every photo: a global reconstruction (GLOMAP, which failed 2 of 8 times), then 1
+   from its poses.
+6. Up to 150 photos: every pair there is, and 1 to 3 again.
+"""
+
+import dataclasses
+from dataclasses import dataclass
+
+from graphgs.scene.reconstruction import Reconstruction
+from graphgs.structure.acceptance import Agreement, agreement
+from graphgs.structure.model_calls import ModelCalls
+from graphgs.structure.more_pairs import every_pair, wider_pairs, with_more_pairs
+
+_ANOTHER_SEED = 1000  # offset
+_COMMON_SHARE = 0.5  # agreement on fewer of the photos says nothing about the rest
+_MOST_FOR_EVERY_PAIR = 150  # photos
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A reconstruction that a step of the ladder made, judged."""
+
+    reconstruction: Reconstruction
+    calls: ModelCalls  # that made it, with its matches
+    name: str  # of its model in their scratch
+    method: str
+    other: Reconstruction | None  # that it was compared with
+    agreement: Agreement | None
+    compared_with: str
+    accepted: bool
+    free: Reconstruction | None = None  # before its rigs became rigid
+
+    @property
+    def rank(self) -> tuple[bool, int]:
+        return self.accepted, len(self.reconstruction.names)
+
+
+def climb(calls: ModelCalls, coarse: Reconstruction | None) -> Candidate | None:
+    """The first reconstruction that is accepted, else the one with the most photos; None if there is none at all.
+
+    `config.mapper` other than `ladder` takes one of COLMAP's own ways in place of all steps: a baseline."""
+    ladder = _Ladder(coarse)
+    mapper = calls.config.mapper
+    if mapper == "incremental":
+        ladder.judge(calls, calls.incremental(mapper), mapper, "incremental (COLMAP)")
+    elif mapper == "global":
+        ladder.judge(calls, calls.globally(mapper), mapper, "global (GLOMAP)")
+    else:
+        _climb(ladder, calls)
+    return ladder.best
+
+
+def _climb(ladder: "_Ladder", calls: ModelCalls) -> None:
+    if ladder.steps(calls, ""):
+        return
+    wider = with_more_pairs(calls, "4_more_pairs", wider_pairs(calls.prior))
+    if wider is not None and ladder.steps(wider, ", more pairs"):
+        return
+    most = wider or calls
+    if all(photo.focal_px for photo in calls.photos.photos):
+        model = most.globally("5_global")
+        if model is not None:
+            model = most.triangulated(model, "5_adjusted")
+        if ladder.judge(most, model, "5_adjusted", "global, focal lengths known"):
+            return
+    if len(calls.photos.photos) <= _MOST_FOR_EVERY_PAIR:
+        everything = with_more_pairs(most, "6_every_pair", every_pair(calls.prior))
+        if everything is not None:
+            ladder.steps(everything, ", every pair")
+
+
+class _Ladder:
+    """The best reconstruction so far, and the steps that are climbed more than once."""
+
+    def __init__(self, coarse: Reconstruction | None):
+        self.best: Candidate | None = None
+        self._coarse = coarse
+
+    def judge(
+        self,
+        calls: ModelCalls,
+        model: Reconstruction | None,
+        name: str,
+        method: str,
+        other: Reconstruction | None = None,  # the coarse one, where there is one
+        other_name: str = "the coarse reconstruction",
+    ) -> bool:
+        """Whether the best so far, this model included, is good enough."""
+        if model is not None:
+            found = judged(calls, model, name, method, other or self._coarse, other_name)
+            if self.best is None or found.rank > self.best.rank:
+                self.best = found
+        return self.best is not None and self.best.accepted
+
+    def steps(self, calls: ModelCalls, note: str) -> bool:
+        """Steps 1 to 3 on the matches of `calls`."""
+        first = None
+        if self._coarse is not None:
+            first = calls.triangulated(self._coarse, "1_triangulated")
+            if self.judge(calls, first, "1_triangulated", f"triangulated from coarse poses{note}"):
+                return True
+        if first is not None and len(first.names) < len(calls.matches.component):
+            extended = calls.incremental("2_extended", start="1_triangulated")
+            if extended is not None:
+                extended = calls.triangulated(extended, "2_adjusted")
+            if self.judge(calls, extended, "2_adjusted", f"coarse poses, extended{note}"):
+                return True
+        models = []
+        for offset in (0, _ANOTHER_SEED):
+            name = f"3_adjusted_{offset}"
+            model = calls.incremental(f"3_incremental_{offset}", seed_offset=offset)
+            if model is not None:
+                model = calls.triangulated(model, name)
+            if self.judge(calls, model, name, f"incremental{note}"):
+                return True
+            models.append((model, name))
+        if any(model is None for model, _ in models):
+            return False
+        (larger, name), (smaller, _) = sorted(models, key=lambda m: -len(m[0].names))
+        return self.judge(calls, larger, name, f"incremental, two seeds{note}", smaller, "the same with another seed")
+
+
+def judged(
+    calls: ModelCalls,
+    model: Reconstruction,
+    name: str,
+    method: str,
+    other: Reconstruction | None,
+    other_name: str,
+) -> Candidate:
+    """The model compared with another one of the same photos, made apart."""
+    config, component = calls.config, len(calls.matches.component)
+    agreed, accepted = None, False
+    if other is not None:
+        agreed = agreement(other, model)
+        accepted = (
+            agreed.within(config)
+            and len(model.names) >= config.min_registered * component
+            and agreed.common >= _COMMON_SHARE * len(model.names)
+        )
+    figures = None if agreed is None else dataclasses.asdict(agreed)
+    counts = {"registered": len(model.names), "component": component}
+    calls.reporter.event("mapping", method=method, accepted=accepted, agreement=figures, **counts)
+    return Candidate(model, calls, name, method, other, agreed, other_name if other is not None else "", accepted)
