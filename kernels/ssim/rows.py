@@ -1,70 +1,131 @@
-"""SSIM and L1, the CPU's shape: one thread per image row, float32, separable, every inner loop vectorised.
+"""SSIM and L1, the CPU's shape: one thread per image row, float32, separable, sixteen values at a time.
 
-A row is taken in blocks. The 11 image rows around it are added up, weighted, into a block that carries a halo on both
-sides (the vertical pass), the block is smoothed along the row (the horizontal pass), and what is left is arithmetic on
-values in the first-level cache. Channels stay interleaved: along a row, the taps of one channel are 3 values apart.
-
-What the vectoriser needs, as its own remarks (-Rpass-analysis=loop-vectorize) say:
-- `while` where the trip count is not a constant: the loop that `for k in range(n)` becomes is not recognised;
-- offsets passed through `wp.max(..., 0)` before the loop: Warp wraps negative indices, and only a provably
-  non-negative index stays a plain address;
-- buffers on the stack (`wp.zeros` in a kernel), which cannot overlap the arguments.
+A row is taken in blocks. The 11 image rows around it are added up, weighted, in registers, and leave four (backward:
+three) rows of windowed sums with a halo on both sides, which are then smoothed along the row; the rest is arithmetic
+on values in the first-level cache. Channels stay interleaved: along a row, the taps of one channel are 3 values apart.
+The loops are C++ with Clang's vector types, as in the rasterizer (docs/kernels.md says why).
 """
 
 import numpy as np
 import warp as wp
 
-from graphgs.kernels.cpu_flags import vector_flags
-from graphgs.kernels.ssim.window import RADIUS, TAPS, l1_slope, ssim_terms
+from graphgs.kernels.cpu_flags import VECTOR_OPTIONS
+from graphgs.kernels.ssim.window import C1, C2, RADIUS, TAPS
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 0, "cpu_compiler_flags": vector_flags()})
+wp.set_module_options(VECTOR_OPTIONS)
 
-BLOCK = wp.constant(240)  # values of a row handled at a time: 80 px, 15 vectors
-HALO = wp.constant(16)  # 15 values are needed; with 16 the inner loops have no remainder to do one by one
-SPAN = wp.constant(BLOCK + 2 * HALO)
-LANES = wp.constant(16)
+_COMMON = f"""
+    typedef float lanes __attribute__((ext_vector_type(16), aligned(4)));
+    typedef int bits __attribute__((ext_vector_type(16), aligned(4)));
+    const float taps[11] = {{{", ".join(f"{float(tap)!r}f" for tap in np.array(TAPS))}}};
+    const lanes zero = 0.0f, order = {{0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15}};
+    constexpr int chunks = 15, halo = 16;  // of a block: chunks of 16 values, and 15 values more on each side
+    const int length = 3 * width, y = row % height;
+    const long here = (long)row * length, total = a.shape[0];
+    alignas(64) float span[4][16 * chunks + 2 * halo];
 
-_PLANES = 4  # windowed means
-SPANS = wp.constant(_PLANES * SPAN)
-BLOCKS = wp.constant(_PLANES * BLOCK)
-SUM_LANES = wp.constant(2 * LANES)
+    // Sixteen values from `at` on; beyond the end of the array there are none.
+    auto load = [&](const float* array, long at, long size) -> lanes {{
+        if (at + 16 <= size) return *(const lanes*)(array + at);
+        lanes values = zero;
+        for (long k = at; k < size; ++k) values[k - at] = array[k];
+        return values;
+    }};
+    auto save = [&](lanes values, float* array, long at, int count) {{
+        if (count >= 16) *(lanes*)(array + at) = values;
+        else for (int k = 0; k < count; ++k) array[at + k] = values[k];
+    }};
+    // The window along the row, for 16 values of a span
+    auto smooth = [&](const float* from) -> lanes {{
+        lanes sum = taps[{RADIUS}] * *(const lanes*)from;
+        #pragma unroll
+        for (int k = 1; k <= {RADIUS}; ++k)
+            sum += taps[{RADIUS} - k] * (*(const lanes*)(from - 3 * k) + *(const lanes*)(from + 3 * k));
+        return sum;
+    }};
+    // The image rows in the window: zero padding beyond the rim, as 3DGS trains
+    const int first = y < {RADIUS} ? {RADIUS} - y : 0;
+    const int past = y + {RADIUS} < height ? 11 : {RADIUS} + height - y;
+"""
 
-# The window's weights from the rim to the centre
-W0, W1, W2, W3, W4, W5 = (wp.constant(float(w)) for w in np.array(TAPS)[: RADIUS + 1])
 
+@wp.func_native(
+    _COMMON
+    + f"""
+    lanes error = zero, similarity = zero;
+    for (int left = 0; left < length; left += 16 * chunks) {{
+        for (int c = 0; c < chunks + 2; ++c) {{
+            const int position = left - halo + 16 * c;
+            lanes mean_a = zero, mean_b = zero, squares = zero, products = zero;
+            if (position >= 0 && position < length) {{
+                for (int t = first; t < past; ++t) {{
+                    const long at = here + (long)(t - {RADIUS}) * length + position;
+                    const lanes value_a = load(a.data, at, total), value_b = load(b.data, at, total);
+                    mean_a += taps[t] * value_a;
+                    mean_b += taps[t] * value_b;
+                    squares += taps[t] * (value_a * value_a + value_b * value_b);
+                    products += taps[t] * (value_a * value_b);
+                }}
+                if (position + 16 > length) {{  // what was read there belongs to the next row
+                    const bits inside = order < (float)(length - position);
+                    mean_a = inside ? mean_a : zero;
+                    mean_b = inside ? mean_b : zero;
+                    squares = inside ? squares : zero;
+                    products = inside ? products : zero;
+                }}
+            }}
+            *(lanes*)(span[0] + 16 * c) = mean_a;
+            *(lanes*)(span[1] + 16 * c) = mean_b;
+            *(lanes*)(span[2] + 16 * c) = squares;
+            *(lanes*)(span[3] + 16 * c) = products;
+        }}
+        for (int c = 0; c < chunks && left + 16 * c < length; ++c) {{
+            const int count = length - left - 16 * c;
+            const long at = here + left + 16 * c;
+            const lanes mean_a = smooth(span[0] + halo + 16 * c), mean_b = smooth(span[1] + halo + 16 * c);
+            const lanes squares = smooth(span[2] + halo + 16 * c), products = smooth(span[3] + halo + 16 * c);
 
-@wp.func
-def tap_weight(y: int, t: int, height: int):
-    """The window's weight for image row y + t - RADIUS; 0 beyond the image's rim (zero padding, as 3DGS trains)."""
-    inside = t < 11 and y + t >= RADIUS and y + t < height + RADIUS
-    return wp.where(inside, float(TAPS[wp.min(t, 10)]), 0.0)
+            // `ssim_terms` of window.py, with one division
+            const lanes energy = mean_a * mean_a + mean_b * mean_b + {float(C1)!r}f, cross = mean_a * mean_b;
+            const lanes variance = squares - energy + {float(C1) + float(C2)!r}f;
+            const lanes luminance = 2.0f * cross + {float(C1)!r}f;
+            const lanes structure = 2.0f * (products - cross) + {float(C2)!r}f;
+            const lanes inverse = 1.0f / (energy * variance);
+            const lanes value = luminance * structure * inverse;
+            const lanes inverse_variance = inverse * energy;
+            const lanes own = 2.0f * value * (inverse_variance - inverse * variance);
+            const lanes other = 2.0f * (structure - luminance) * inverse;
 
-
-@wp.func
-def tap_start(row: int, y: int, t: int, height: int, length: int, lo: int):
-    """Index of value `lo` in that row, or in the nearest row that exists (its weight is 0)."""
-    return wp.max((row - y + wp.clamp(y + t - RADIUS, 0, height - 1)) * length + lo, 0)
-
-
-@wp.func
-def smooth_along_row(
-    span: wp.array[float],  # [4 SPAN]
-    # Out
-    block: wp.array[float],  # [4 BLOCK]
+            const lanes keep = load(kept.data, at, total);
+            save(keep * (mean_a * own + mean_b * other), slopes.data, at, count);
+            save(-keep * value * inverse_variance, slopes.data, total + at, count);
+            save(2.0f * keep * luminance * inverse, slopes.data, 2 * total + at, count);
+            const lanes gap = __builtin_elementwise_abs(load(a.data, at, total) - load(b.data, at, total));
+            const bits inside = order < (float)count;
+            error += inside ? keep * gap : zero;
+            similarity += inside ? keep * value : zero;
+        }}
+    }}
+    double error_sum = 0.0, similarity_sum = 0.0;
+    for (int k = 0; k < 16; ++k) {{
+        error_sum += error[k];
+        similarity_sum += similarity[k];
+    }}
+    row_sums.data[row] = error_sum;
+    row_sums.data[row_sums.shape[0] / 2 + row] = similarity_sum;
+    """
+)
+def compare_row(
+    row: int,
+    a: wp.array[float],
+    b: wp.array[float],
+    kept: wp.array[float],
+    height: int,
+    width: int,
+    slopes: wp.array[float],
+    row_sums: wp.array[wp.float64],
 ):
-    for plane in range(4):
-        source = wp.max(plane * SPAN, 0)
-        target = wp.max(plane * BLOCK, 0)
-        for k in range(BLOCK):
-            at = source + k
-            block[target + k] = (
-                W0 * (span[at + 1] + span[at + 31])
-                + W1 * (span[at + 4] + span[at + 28])
-                + W2 * (span[at + 7] + span[at + 25])
-                + W3 * (span[at + 10] + span[at + 22])
-                + W4 * (span[at + 13] + span[at + 19])
-                + W5 * span[at + 16]
-            )
+    """One image row of `compare_rows`."""
 
 
 @wp.kernel
@@ -80,83 +141,56 @@ def compare_rows(
     slopes: wp.array[float],  # [3 C H W 3] derivatives of kept SSIM in the windowed means of a, a^2 + b^2, a b
     row_sums: wp.array[wp.float64],  # [2 C H] kept |a - b| by row, then kept SSIM by row
 ):
-    row = first + wp.tid()
-    y = row % height
-    rows = row_sums.shape[0] / 2
-    count = a.shape[0]
-    length = 3 * width
-    lanes = wp.zeros(shape=SUM_LANES, dtype=float)
-    left = int(0)
-    while left < length:
-        right = wp.min(left + BLOCK, length)
-        lo = wp.max(left - HALO, 0)
-        hi = wp.min(right + HALO, length)
+    compare_row(first + wp.tid(), a, b, kept, height, width, slopes, row_sums)
 
-        # Vertical pass, four image rows at a time
-        span = wp.zeros(shape=SPANS, dtype=float)
-        begin = wp.max(lo - left + HALO, 0)
-        for group in range(3):
-            t = 4 * group
-            at_0 = tap_start(row, y, t, height, length, lo)
-            at_1 = tap_start(row, y, t + 1, height, length, lo)
-            at_2 = tap_start(row, y, t + 2, height, length, lo)
-            at_3 = tap_start(row, y, t + 3, height, length, lo)
-            w_0 = tap_weight(y, t, height)
-            w_1 = tap_weight(y, t + 1, height)
-            w_2 = tap_weight(y, t + 2, height)
-            w_3 = tap_weight(y, t + 3, height)
-            k = int(0)
-            while k < hi - lo:
-                a_0, a_1, a_2, a_3 = a[at_0 + k], a[at_1 + k], a[at_2 + k], a[at_3 + k]
-                b_0, b_1, b_2, b_3 = b[at_0 + k], b[at_1 + k], b[at_2 + k], b[at_3 + k]
-                at = begin + k
-                span[at] = span[at] + (w_0 * a_0 + w_1 * a_1 + w_2 * a_2 + w_3 * a_3)
-                span[at + SPAN] = span[at + SPAN] + (w_0 * b_0 + w_1 * b_1 + w_2 * b_2 + w_3 * b_3)
-                span[at + 2 * SPAN] = span[at + 2 * SPAN] + (
-                    w_0 * (a_0 * a_0 + b_0 * b_0)
-                    + w_1 * (a_1 * a_1 + b_1 * b_1)
-                    + w_2 * (a_2 * a_2 + b_2 * b_2)
-                    + w_3 * (a_3 * a_3 + b_3 * b_3)
-                )
-                span[at + 3 * SPAN] = span[at + 3 * SPAN] + (
-                    w_0 * (a_0 * b_0) + w_1 * (a_1 * b_1) + w_2 * (a_2 * b_2) + w_3 * (a_3 * b_3)
-                )
-                k = k + 1
-        means = wp.zeros(shape=BLOCKS, dtype=float)
-        smooth_along_row(span, means)
 
-        # The planes of slopes, then the two sums
-        here = wp.max(row * length + left, 0)
-        plane_1 = wp.max(here + count, 0)
-        plane_2 = wp.max(here + 2 * count, 0)
-        similarity = wp.zeros(shape=BLOCK, dtype=float)
-        error = wp.zeros(shape=BLOCK, dtype=float)
-        k = int(0)
-        while k < right - left:
-            value, d_mean, d_squares, d_products = ssim_terms(
-                means[k], means[k + BLOCK], means[k + 2 * BLOCK], means[k + 3 * BLOCK]
-            )
-            keep = kept[here + k]
-            slopes[here + k] = keep * d_mean
-            slopes[plane_1 + k] = keep * d_squares
-            slopes[plane_2 + k] = keep * d_products
-            similarity[k] = keep * value
-            error[k] = keep * wp.abs(a[here + k] - b[here + k])
-            k = k + 1
-        for chunk in range(BLOCK / LANES):
-            source = wp.max(chunk * LANES, 0)
-            for lane in range(LANES):
-                lanes[lane] = lanes[lane] + error[source + lane]
-                lanes[LANES + lane] = lanes[LANES + lane] + similarity[source + lane]
-        left = left + BLOCK
-
-    error_sum = wp.float64(0.0)
-    similarity_sum = wp.float64(0.0)
-    for lane in range(LANES):
-        error_sum += wp.float64(lanes[lane])
-        similarity_sum += wp.float64(lanes[LANES + lane])
-    row_sums[row] = error_sum
-    row_sums[rows + row] = similarity_sum
+@wp.func_native(
+    _COMMON
+    + f"""
+    const float v_error = v_sums.data[0], v_similarity = v_sums.data[1];
+    for (int left = 0; left < length; left += 16 * chunks) {{
+        // The window is symmetric, so its adjoint is the same blur, applied to the slopes.
+        for (int c = 0; c < chunks + 2; ++c) {{
+            const int position = left - halo + 16 * c;
+            lanes sums[3] = {{zero, zero, zero}};
+            if (position >= 0 && position < length) {{
+                for (int t = first; t < past; ++t) {{
+                    const long at = here + (long)(t - {RADIUS}) * length + position;
+                    #pragma unroll
+                    for (int plane = 0; plane < 3; ++plane)
+                        sums[plane] += taps[t] * load(slopes.data, plane * total + at, 3 * total);
+                }}
+                if (position + 16 > length) {{
+                    const bits inside = order < (float)(length - position);
+                    for (int plane = 0; plane < 3; ++plane) sums[plane] = inside ? sums[plane] : zero;
+                }}
+            }}
+            for (int plane = 0; plane < 3; ++plane) *(lanes*)(span[plane] + 16 * c) = sums[plane];
+        }}
+        for (int c = 0; c < chunks && left + 16 * c < length; ++c) {{
+            const long at = here + left + 16 * c;
+            const lanes value_a = load(a.data, at, total), value_b = load(b.data, at, total);
+            const lanes slope = smooth(span[0] + halo + 16 * c) + 2.0f * value_a * smooth(span[1] + halo + 16 * c)
+                + value_b * smooth(span[2] + halo + 16 * c);
+            const lanes sign = value_a > value_b ? (lanes)1.0f : (value_a < value_b ? (lanes)-1.0f : zero);
+            const lanes gradient = load(kept.data, at, total) * (v_error * sign + v_similarity * slope);
+            save(gradient, v_a.data, at, length - left - 16 * c);
+        }}
+    }}
+    """
+)
+def compare_row_gradient(
+    row: int,
+    a: wp.array[float],
+    b: wp.array[float],
+    kept: wp.array[float],
+    height: int,
+    width: int,
+    slopes: wp.array[float],
+    v_sums: wp.array[float],
+    v_a: wp.array[float],
+):
+    """One image row of `compare_rows_gradient`."""
 
 
 @wp.kernel
@@ -173,49 +207,4 @@ def compare_rows_gradient(
     # Out
     v_a: wp.array[float],  # [C H W 3]
 ):
-    row = first + wp.tid()
-    y = row % height
-    count = a.shape[0]
-    length = 3 * width
-    v_error = v_sums[0]
-    v_similarity = v_sums[1]
-    left = int(0)
-    while left < length:
-        right = wp.min(left + BLOCK, length)
-        lo = wp.max(left - HALO, 0)
-        hi = wp.min(right + HALO, length)
-
-        # The window is symmetric, so its adjoint is the same blur, applied to the slopes
-        span = wp.zeros(shape=SPANS, dtype=float)
-        begin = wp.max(lo - left + HALO, 0)
-        for plane in range(3):
-            offset = plane * count
-            target = wp.max(plane * SPAN + begin, 0)
-            for group in range(3):
-                t = 4 * group
-                at_0 = wp.max(tap_start(row, y, t, height, length, lo) + offset, 0)
-                at_1 = wp.max(tap_start(row, y, t + 1, height, length, lo) + offset, 0)
-                at_2 = wp.max(tap_start(row, y, t + 2, height, length, lo) + offset, 0)
-                at_3 = wp.max(tap_start(row, y, t + 3, height, length, lo) + offset, 0)
-                w_0 = tap_weight(y, t, height)
-                w_1 = tap_weight(y, t + 1, height)
-                w_2 = tap_weight(y, t + 2, height)
-                w_3 = tap_weight(y, t + 3, height)
-                k = int(0)
-                while k < hi - lo:
-                    near = w_0 * slopes[at_0 + k] + w_1 * slopes[at_1 + k]
-                    far = w_2 * slopes[at_2 + k] + w_3 * slopes[at_3 + k]
-                    span[target + k] = span[target + k] + (near + far)
-                    k = k + 1
-        smoothed = wp.zeros(shape=BLOCKS, dtype=float)
-        smooth_along_row(span, smoothed)
-
-        here = wp.max(row * length + left, 0)
-        k = int(0)
-        while k < right - left:
-            value_a = a[here + k]
-            value_b = b[here + k]
-            slope = smoothed[k] + 2.0 * value_a * smoothed[k + BLOCK] + value_b * smoothed[k + 2 * BLOCK]
-            v_a[here + k] = kept[here + k] * (v_error * l1_slope(value_a, value_b) + v_similarity * slope)
-            k = k + 1
-        left = left + BLOCK
+    compare_row_gradient(first + wp.tid(), a, b, kept, height, width, slopes, v_sums, v_a)
