@@ -16,6 +16,7 @@ from graphgs.structure.config import StructureConfig
 from graphgs.structure.database import by_photo_names, create_database
 from graphgs.structure.feature_cache import FeatureCache
 from graphgs.structure.features import extract_features, load_descriptors
+from graphgs.structure.focal_held import held_note, is_observable
 from graphgs.structure.focal_vote import vote_of_pairs
 from graphgs.structure.retrieval import similar_photos
 from graphgs.structure.rigs import same_frame_pairs, sequences
@@ -139,6 +140,10 @@ def run_attempt(
 
 def _best_mapping(
     photos: Photos,
+    if found is not None and not (hold or vote.decided):
+        hold = not _observable(worker, work / _model_name(attempt, 0, hold=False), attempt, reporter, threads)
+        if hold:
+            found, cameras = _best_mapping(photos, guesses, attempt, hold, worker, work, reporter, threads)
     guesses: list[SharedCameras],  # intrinsics to start from
     attempt: Attempt,
     hold: bool,
@@ -151,7 +156,7 @@ def _best_mapping(
     far off the true focal length a turn of the road bends wrongly, and the error grows by a quarter."""
     results = []
     for k, cameras in enumerate(guesses):
-        model = work / f"model_{attempt.seed}_{k}"
+        model = work / _model_name(attempt, k, hold=hold)
         if not model.exists():
             worker.run("set_cameras", database=work / "database.db", cameras=cameras.records())
             worker.run(
@@ -191,6 +196,16 @@ def _drift(found: Reconstruction, start: SharedCameras, photos: Photos) -> float
 def coarse_pairs(
     similar: np.ndarray,  # [N, k] look-alikes, -1 = none
     n: int,
+def _observable(worker: ColmapWorker, model: Path, attempt: Attempt, reporter: Reporter, threads: int) -> bool:
+    observable, rise = is_observable(worker, model, seed=attempt.seed, threads=threads)
+    reporter.event("focal_response", observable=observable, rise=rise)
+    return observable
+
+
+def _model_name(attempt: Attempt, guess: int, *, hold: bool) -> str:
+    return f"model_{attempt.seed}_{guess}{'_held' if hold else ''}"
+
+
     window: int,
     rigs: tuple[Rig, ...] = (),
 ) -> np.ndarray:
