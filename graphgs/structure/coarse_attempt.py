@@ -133,8 +133,8 @@ def run_attempt(
     placed = 0 if found is None else len(found.names)
     reporter.event("coarse_attempt", **dataclasses.asdict(attempt), pairs=len(pairs), edges=len(edges), placed=placed)
     note = f"own reconstruction at {attempt.max_side} px places {placed} of {n} photos"
-    if vote.flat:
-        note += "; the photos do not determine the focal length, so it is held as given or typical"
+    if hold and not attempt.hold:
+        note += f"; {held_note(cameras, shared_cameras(photos).known)}"
     return Found(found, cameras, hold, similar, edges, note)
 
 
