@@ -33,7 +33,7 @@ class TrainConfig:
     sh_dc_rate: float = 2.5e-3
     """Constant harmonic."""
     sh_rest_rate: float = 1.25e-4
-    """Higher harmonics: a twentieth of the constant one."""
+    """Higher harmonics, above 0: a twentieth of the constant one."""
     short_run_exponent: float = 0.25
     """Ours: runs shorter than 3DGS's 30k steps take all rates but the opacities' times (30k / steps)^this."""
 

@@ -94,7 +94,7 @@ class Trainer:
         """Render, compare, differentiate: the loss, detached, and the render it came from."""
         view, photo, mask = self._images.of_step(step)
         degree = self.schedule.sh_degree(step)
-        gaussians, absgrad = self._gaussians(degree), self.strategy.wants_absgrad(step)
+        gaussians, absgrad = self._gaussians(), self.strategy.wants_absgrad(step)
         out = self._render(view, gaussians, degree, self._viewmat(view, fitted_in=step), absgrad=absgrad)
         colors = out.colors if self._exposure is None else self._exposure.apply(view, out.colors)
         loss = photometric_loss(colors, photo, mask, ssim_weight=self.config.ssim_weight)
@@ -163,14 +163,14 @@ class Trainer:
     def _caution(self) -> float:
         return RECOVERY_RATE**self.recoveries
 
-    def _gaussians(self, degree: int) -> tuple[Tensor, ...]:
+    def _gaussians(self) -> tuple[Tensor, ...]:
         values = self.parameters.values
         return (
             values["means"],
             values["quats"],
             torch.exp(values["log_scales"]),
             torch.sigmoid(values["logit_opacities"]),
-            self.parameters.sh_coeffs(degree),
+            values["sh_coeffs"],
         )
 
     def _render(
