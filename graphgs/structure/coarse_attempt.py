@@ -130,6 +130,10 @@ def run_attempt(
     if vote.flat and not all(shared_cameras(photos).known):
         guesses += [rescaled(shared_cameras(photos), scale) for scale in _OTHER_GUESSES]
     found, cameras = _best_mapping(photos, guesses, attempt, hold, worker, work, reporter, threads)
+    if found is not None and not (hold or vote.decided):
+        hold = not _observable(worker, work / _model_name(attempt, 0, hold=False), attempt, reporter, threads)
+        if hold:
+            found, cameras = _best_mapping(photos, guesses, attempt, hold, worker, work, reporter, threads)
     placed = 0 if found is None else len(found.names)
     reporter.event("coarse_attempt", **dataclasses.asdict(attempt), pairs=len(pairs), edges=len(edges), placed=placed)
     note = f"own reconstruction at {attempt.max_side} px places {placed} of {n} photos"
@@ -140,10 +144,6 @@ def run_attempt(
 
 def _best_mapping(
     photos: Photos,
-    if found is not None and not (hold or vote.decided):
-        hold = not _observable(worker, work / _model_name(attempt, 0, hold=False), attempt, reporter, threads)
-        if hold:
-            found, cameras = _best_mapping(photos, guesses, attempt, hold, worker, work, reporter, threads)
     guesses: list[SharedCameras],  # intrinsics to start from
     attempt: Attempt,
     hold: bool,
@@ -185,6 +185,16 @@ def _best_mapping(
     return found, cameras
 
 
+def _observable(worker: ColmapWorker, model: Path, attempt: Attempt, reporter: Reporter, threads: int) -> bool:
+    observable, rise = is_observable(worker, model, seed=attempt.seed, threads=threads)
+    reporter.event("focal_response", observable=observable, rise=rise)
+    return observable
+
+
+def _model_name(attempt: Attempt, guess: int, *, hold: bool) -> str:
+    return f"model_{attempt.seed}_{guess}{'_held' if hold else ''}"
+
+
 def _drift(found: Reconstruction, start: SharedCameras, photos: Photos) -> float:
     """The largest factor by which mapping changed a focal length."""
     row = {name: k for k, name in enumerate(photos.names)}
@@ -196,16 +206,6 @@ def _drift(found: Reconstruction, start: SharedCameras, photos: Photos) -> float
 def coarse_pairs(
     similar: np.ndarray,  # [N, k] look-alikes, -1 = none
     n: int,
-def _observable(worker: ColmapWorker, model: Path, attempt: Attempt, reporter: Reporter, threads: int) -> bool:
-    observable, rise = is_observable(worker, model, seed=attempt.seed, threads=threads)
-    reporter.event("focal_response", observable=observable, rise=rise)
-    return observable
-
-
-def _model_name(attempt: Attempt, guess: int, *, hold: bool) -> str:
-    return f"model_{attempt.seed}_{guess}{'_held' if hold else ''}"
-
-
     window: int,
     rigs: tuple[Rig, ...] = (),
 ) -> np.ndarray:
