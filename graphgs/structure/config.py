@@ -43,13 +43,13 @@ class StructureConfig:
     bridge_pairs: int = 10
     """Further pairs tried per group of photos that matching left apart, per round."""
 
+    mapper: Literal["ladder", "incremental", "global"] = "ladder"
+    """ladder: from the coarse poses, and further steps where the result is not accepted; the rest are COLMAP's own ways
+    on the same matches, as baselines."""
     min_registered: float = 0.95
     """Share of the chosen group's photos that must be placed for the result to be accepted."""
     max_rotation_median_deg: float = 2.0
     """[deg] largest median change of pairwise rotation between first and final reconstruction."""
-    mapper: Literal["ladder", "incremental", "global"] = "ladder"
-    """ladder: from the coarse poses, and further steps where the result is not accepted; the rest are COLMAP's own ways
-    on the same matches, as baselines."""
     max_rotation_p99_deg: float = 10.0
     """[deg] largest 99th percentile of the same."""
     max_camera_shift: float = 0.05
