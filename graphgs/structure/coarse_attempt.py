@@ -23,6 +23,13 @@ from graphgs.structure.rigs import same_frame_pairs, sequences
 
 # Looser than COLMAP's defaults: features are few, and a wrong photo here costs pairs only.
 _VERIFICATION = {"min_num_inliers": 12}
+# Bundle adjustment that stops where it hardly gains: a third less time in all, poses as accurate (0027).
+_QUICKLY_SOLVED = {
+    "ba_global_function_tolerance": 1e-4,
+    "ba_global_max_num_iterations": 20,
+    "ba_local_function_tolerance": 1e-4,
+    "ba_local_max_num_iterations": 15,
+}
 _MAPPING = {
     "min_num_matches": 12,
     "min_model_size": 3,
@@ -31,6 +38,7 @@ _MAPPING = {
     "ba_global_points_ratio": 1.3,
     "ba_global_max_refinements": 2,
     "ba_local_max_refinements": 1,
+    **_QUICKLY_SOLVED,
     "mapper": {
         "init_min_num_inliers": 50,
         "init_min_tri_angle": 8.0,
