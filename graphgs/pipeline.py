@@ -38,10 +38,10 @@ from graphgs.training.trained import Trained
 from graphgs.workspace import Outcome, Stage, Workspace, digest
 
 PHOTOS = Stage(1, "photos", 2)
-COARSE = Stage(2, "coarse", 1)
+COARSE = Stage(2, "coarse", 2)
 PAIRS = Stage(3, "pairs", 2)
 MATCHES = Stage(4, "matches", 1)
-MAPPING = Stage(5, "mapping", 1)
+MAPPING = Stage(5, "mapping", 2)
 VIEWS = Stage(6, "views", 1)
 GRAPH = Stage(7, "graph", 1)
 POINTS = Stage(8, "points", 1)
