@@ -18,11 +18,15 @@ import graphgs.kernels.launch  # noqa: F401 - starts Warp, without its banner
 from bench.baselines import device_name, load_baseline, update_baseline
 from bench.metrics import Metric
 
+CACHE = Path.home() / ".cache" / "graphgs-bench"
+
 
 @dataclass(frozen=True)
 class Workload:
     module: str  # in this package, imported when it runs; its `run(device)` returns metrics
     about: str
+    cached: bool = False  # `run(device, cache)`: inputs too costly to make each time
+    on_request: bool = False  # takes long: runs only when named
     same_everywhere: bool = False  # no timings: one baseline for all machines, per version of Warp
 
 
@@ -34,6 +38,8 @@ WORKLOADS = {
     "ssim": Workload("ssim", "photometric loss, forward and backward"),
     "reproject": Workload("reproject", "consistency loss, forward and backward"),
     "octree": Workload("octree", "pruning 300,000 points"),
+    "structure": Workload("structure", "pairs, matching, mapping: 150 and 600 photos", cached=True, on_request=True),
+    "structure-quick": Workload("structure_quick", "the same on 75 photos", cached=True, on_request=True),
     "gpu-static": Workload(
         "gpu_static", "what the compiler says about the GPU's kernels; needs no GPU", same_everywhere=True
     ),
@@ -43,7 +49,7 @@ WORKLOADS = {
 def main() -> int:
     args = parse()
     if args.list:
-        print("\n".join(f"{name:12} {workload.about}" for name, workload in WORKLOADS.items()))
+        print("\n".join(f"{name:16} {workload.about}" for name, workload in WORKLOADS.items()))
         return 0
     device = device_name(args.device)
     environment = {"commit": commit(), "warp": wp.__version__, "torch": torch.__version__}
@@ -51,9 +57,10 @@ def main() -> int:
     print(", ".join(f"{k} {v}" for k, v in {"python": platform.python_version(), **environment}.items()))
 
     regressed = []
-    for name in args.only or WORKLOADS:
+    for name in args.only or [name for name, workload in WORKLOADS.items() if not workload.on_request]:
         workload = WORKLOADS[name]
-        metrics = import_module(f"bench.{workload.module}").run(args.device)
+        run = import_module(f"bench.{workload.module}").run
+        metrics = run(args.device, args.cache) if workload.cached else run(args.device)
         store = name if workload.same_everywhere else device
         baseline = load_baseline(store, metrics, warp=wp.__version__ if workload.same_everywhere else None)
         report(metrics, baseline, changes_only=workload.same_everywhere)
@@ -74,6 +81,9 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--list", action="store_true", help="print the workloads and exit")
     parser.add_argument("--only", nargs="+", choices=WORKLOADS, metavar="NAME", help="run these workloads alone")
     parser.add_argument("--device", default="cpu", help="cpu or cuda:0 (default: cpu)")
+    parser.add_argument(
+        "--cache", type=Path, default=CACHE, help=f"folder for rendered streets and their matches (default: {CACHE})"
+    )
     parser.add_argument("--gate", action="store_true", help="exit 1 if a metric is worse than its baseline allows")
     parser.add_argument("--update-baseline", action="store_true", help="store the results for this device")
     args = parser.parse_args()
