@@ -27,6 +27,8 @@ class RunReporter(Reporter):
         self._task = None
         self._title = ""
         self._began = self._last_line = time.monotonic()
+        self._counted = self._total = 0  # of the work that progress is told of
+        self._from = (self._began, 0)  # when that work began, and how much was done then
 
     def attach_log(self, path: Path) -> None:
         """From here on every event is also appended to `path`."""
@@ -46,6 +48,9 @@ class RunReporter(Reporter):
         self._say(f"[bold]\\[{number}/{total}][/bold] {escape(title)}")
 
     def progress(self, done: int, total: int, note: str = "") -> None:
+        if total != self._total or done < self._counted:  # other work
+            self._from = (time.monotonic(), done)
+        self._counted, self._total = done, total
         if self._as_json:
             self._emit("progress", {"stage": self._title, "done": done, "total": total, "note": note}, log=False)
         elif self._quiet:
@@ -57,7 +62,14 @@ class RunReporter(Reporter):
             if now - self._last_line >= PLAIN_INTERVAL_S:
                 self._last_line = now
                 elapsed = now - self._began
-                self._say(f"      {done}/{total} {escape(note)} ({elapsed:.0f} s)")
+                self._say(f"      {done}/{total} {escape(note)} ({elapsed:.0f} s{self._left(done, total, now)})")
+
+    def _left(self, done: int, total: int, now: float) -> str:
+        """e.g. ", 40 s left" at the pace so far; nothing where there is none yet."""
+        began, first = self._from
+        if not first < done < total:
+            return ""
+        return f", {(now - began) * (total - done) / (done - first):.0f} s left"
 
     def event(self, kind: str, **fields) -> None:
         self._emit(kind, fields)
