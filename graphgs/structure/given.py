@@ -16,11 +16,12 @@ from graphgs.structure.colmap import ColmapWorker
 from graphgs.structure.colors import colored
 from graphgs.structure.components import components
 from graphgs.structure.config import StructureConfig
+from graphgs.structure.diagnosis import diagnose
 from graphgs.structure.focal_vote import vote_of_pairs
 from graphgs.structure.matching import Matches
 from graphgs.structure.model_calls import ModelCalls
 from graphgs.structure.prior import Prior
-from graphgs.structure.result import Structure, edges_among, left_out
+from graphgs.structure.result import Structure, edges_among
 from graphgs.structure.rig_refinement import rig_poses
 
 
@@ -80,6 +81,8 @@ def map_given(
         model = dataclasses.replace(model, rotations=given.rotations, translations=given.translations)
     reconstruction = colored(model, photos, threads=threads)
     edges, inliers = edges_among(matches, reconstruction.names)
+    verified, judgement = calls.witness.verified, calls.witness.judge(reconstruction)
+    diagnosis = diagnose(photos, matches, prior, reconstruction, verified, judgement, threads=threads)
     return Structure(
         reconstruction=reconstruction,
         edges=edges,
@@ -89,10 +92,11 @@ def map_given(
         agreement=agreed,
         compared_with="the poses of the input" if refine else "",
         component=len(matches.component),
-        unregistered=left_out(photos.names, reconstruction.names, matches.component, matches.edges)
+        unregistered=tuple((entry.name, entry.reason) for entry in diagnosis.left_out)
         if refine
         else _without_pose(photos),
         rigs=rig_poses(photos, reconstruction),
+        diagnosis=diagnosis,
     )
 
 

@@ -14,8 +14,10 @@ from dataclasses import dataclass
 
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.structure.acceptance import Agreement, agreement
+from graphgs.structure.contradictions import PairSupport
 from graphgs.structure.model_calls import ModelCalls
 from graphgs.structure.more_pairs import every_pair, wider_pairs, with_more_pairs
+from graphgs.structure.soundness import Soundness
 
 _ANOTHER_SEED = 1000  # offset
 _COMMON_SHARE = 0.5  # agreement on fewer of the photos says nothing about the rest
@@ -34,6 +36,8 @@ class Candidate:
     agreement: Agreement | None
     compared_with: str
     accepted: bool
+    soundness: Soundness
+    support: PairSupport
     free: Reconstruction | None = None  # before its rigs became rigid
 
     @property
@@ -134,17 +138,21 @@ def judged(
     other: Reconstruction | None,
     other_name: str,
 ) -> Candidate:
-    """The model compared with another one of the same photos, made apart."""
+    """The model compared with another one of the same photos, made apart, and held against its matches."""
     config, component = calls.config, len(calls.matches.component)
     agreed, accepted = None, False
+    sound, support = calls.witness.judge(model)
     if other is not None:
         agreed = agreement(other, model)
         accepted = (
             agreed.within(config)
+            and not sound.doubts
             and len(model.names) >= config.min_registered * component
             and agreed.common >= _COMMON_SHARE * len(model.names)
         )
     figures = None if agreed is None else dataclasses.asdict(agreed)
     counts = {"registered": len(model.names), "component": component}
-    calls.reporter.event("mapping", method=method, accepted=accepted, agreement=figures, **counts)
-    return Candidate(model, calls, name, method, other, agreed, other_name if other is not None else "", accepted)
+    objections = {"soundness": dataclasses.asdict(sound)}
+    calls.reporter.event("mapping", method=method, accepted=accepted, agreement=figures, **counts, **objections)
+    compared_with = other_name if other is not None else ""
+    return Candidate(model, calls, name, method, other, agreed, compared_with, accepted, sound, support)

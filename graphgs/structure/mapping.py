@@ -14,12 +14,13 @@ from graphgs.sources.photos import Photos
 from graphgs.structure.colmap import ColmapWorker
 from graphgs.structure.colors import colored
 from graphgs.structure.config import StructureConfig
+from graphgs.structure.diagnosis import diagnose
 from graphgs.structure.given import map_given
 from graphgs.structure.ladder import Candidate, climb, judged
 from graphgs.structure.matching import Matches
 from graphgs.structure.model_calls import ModelCalls
 from graphgs.structure.prior import Prior
-from graphgs.structure.result import Structure, edges_among, left_out
+from graphgs.structure.result import Structure, edges_among
 from graphgs.structure.rig_refinement import constrained, rig_poses
 from graphgs.structure.rigs import RigPose
 from graphgs.structure.world import WorldFrame, plain, settled
@@ -40,11 +41,13 @@ def map_fine(
     leads to `map_given` instead.
 
     Each mapping call leaves its model in `scratch`: a killed run repeats at most one. Raises DataError when nothing
-    could be reconstructed."""
+    could be reconstructed, or the camera did not move."""
     if prior.source == "given":
         return map_given(config, photos, matches, prior, scratch=scratch, reporter=reporter, threads=threads, seed=seed)
     with ColmapWorker(scratch) as worker:
         calls = ModelCalls(config, photos, matches, prior, worker, scratch, reporter, threads, seed)
+        if calls.witness.rotation.on_the_spot:
+            raise _on_the_spot(calls)
         best = climb(calls, prior.reconstruction)
         if best is not None and photos.rigs and config.rig_refinement == "constrained":
             best = _mounted(best)
@@ -55,10 +58,11 @@ def map_fine(
             hint="photos must be taken from different places (not turned on the spot) and overlap by half or more",
         )
     matches = best.calls.matches  # the ladder may have matched more pairs
-    component = matches.component
     reconstruction, rigs, world = _settled(config, best, photos, prior, reporter)
     reconstruction = colored(reconstruction, photos, threads=threads)
     edges, inliers = edges_among(matches, reconstruction.names)
+    verified, judgement = best.calls.witness.verified, (best.soundness, best.support)
+    diagnosis = diagnose(photos, matches, prior, reconstruction, verified, judgement, threads=threads)
     return Structure(
         reconstruction,
         edges,
@@ -67,10 +71,20 @@ def map_fine(
         best.method,
         best.agreement,
         best.compared_with,
-        len(component),
-        left_out(photos.names, reconstruction.names, component, matches.edges),
+        len(matches.component),
+        tuple((entry.name, entry.reason) for entry in diagnosis.left_out),
         rigs,
         world,
+        diagnosis,
+    )
+
+
+def _on_the_spot(calls: ModelCalls) -> DataError:
+    turned = 100 * calls.witness.rotation.share
+    return DataError(
+        f"the camera only turned on the spot, or did not move: {turned:.0f} % of {len(calls.matches.edges)} verified "
+        "pairs of photos need no more than that, so there is no depth in them",
+        hint="walk around what you photograph: a step between two photos, each overlapping the next by half or more",
     )
 
 

@@ -2,6 +2,7 @@
 
 import shutil
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from graphgs.structure.database import by_photo_names, by_pixel_files
 from graphgs.structure.matching import Matches
 from graphgs.structure.prior import Prior
 from graphgs.structure.rigs import RigPose
+from graphgs.structure.soundness import Witness
 
 # First a wide net, since coarse poses are off by a pixel or two. Then Cauchy's loss: repeated facades leave wrong
 # tracks that no threshold finds; it cut the median position error to a quarter (castle .25 -> .06 %, fox .13 -> .08 %).
@@ -38,6 +40,12 @@ class ModelCalls:
     reporter: Reporter
     threads: int
     seed: int
+
+    @cached_property
+    def witness(self) -> Witness:
+        """The matches that models are judged by."""
+        database, least = self.matches.database, self.config.min_inliers
+        return Witness.of(self.photos, database, self.prior.cameras, min_inliers=least)
 
     def triangulated(self, poses: Reconstruction, name: str) -> Reconstruction | None:
         """Triangulation from poses, then two rounds of bundle adjustment and filtering. The principal point is refined

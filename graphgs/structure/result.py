@@ -9,6 +9,7 @@ import numpy as np
 
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.structure.acceptance import Agreement
+from graphgs.structure.diagnosis import Diagnosis
 from graphgs.structure.matching import Matches
 from graphgs.structure.rigs import RigPose
 from graphgs.structure.world import WorldFrame, from_plain, plain
@@ -29,10 +30,16 @@ class Structure:
     unregistered: tuple[tuple[str, str], ...]  # (name, reason)
     rigs: tuple[RigPose, ...] = ()  # where the cameras of each rig sit on it
     world: WorldFrame | None = None  # None: the world's scale and axes are arbitrary
+    diagnosis: Diagnosis | None = None  # None: nothing was matched
 
     @property
     def status(self) -> str:
         return "ok" if self.accepted else "partial"
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What speaks against the reconstruction."""
+        return () if self.diagnosis is None else self.diagnosis.soundness.doubts
 
     def save(self, folder: Path) -> None:
         self.reconstruction.save(folder)
@@ -49,6 +56,8 @@ class Structure:
         }
         for k, rig in enumerate(self.rigs):
             rig.save(folder / f"rig_{k}.npz")
+        if self.diagnosis is not None:
+            self.diagnosis.save(folder)
         (folder / "structure.json").write_text(json.dumps(header, indent=1))
 
     @staticmethod
@@ -58,6 +67,7 @@ class Structure:
         header["unregistered"] = tuple(tuple(entry) for entry in header["unregistered"])
         header["rigs"] = tuple(RigPose.load(folder / f"rig_{k}.npz") for k in range(header["rigs"]))
         header["world"] = from_plain(header["world"])
+        header["diagnosis"] = Diagnosis.load(folder) if (folder / "diagnosis.json").is_file() else None
         with np.load(folder / "edges.npz", allow_pickle=False) as arrays:
             return Structure(Reconstruction.load(folder), **dict(arrays), **header)
 
@@ -71,24 +81,3 @@ def edges_among(matches: Matches, names: tuple[str, ...]) -> tuple[np.ndarray, n
     edges, inliers = edges[both], matches.inliers[both]
     order = np.lexsort((edges[:, 1], edges[:, 0]))
     return edges[order], inliers[order]
-
-
-def left_out(
-    names: tuple[str, ...],
-    placed: tuple[str, ...],
-    component: np.ndarray,  # indices of the largest connected group
-    edges: np.ndarray,  # [E, 2] verified
-) -> tuple[tuple[str, str], ...]:
-    """(name, reason) of every photo without a pose."""
-    has_pose, inside, matched = set(placed), set(component.tolist()), set(np.unique(edges).tolist())
-    reasons = []
-    for k, name in enumerate(names):
-        if name in has_pose:
-            continue
-        if k not in matched:
-            reasons.append((name, "shares no features with any other photo"))
-        elif k not in inside:
-            reasons.append((name, "shares features only with photos apart from the main group"))
-        else:
-            reasons.append((name, "shares features with the main group, but no pose fits them"))
-    return tuple(reasons)

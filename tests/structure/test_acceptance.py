@@ -14,7 +14,6 @@ from graphgs.structure.components import components, describe
 from graphgs.structure.config import StructureConfig
 from graphgs.structure.given import covisible_pairs
 from graphgs.structure.matching import bridge_candidates
-from graphgs.structure.result import left_out
 
 CONFIG = StructureConfig()
 
@@ -106,16 +105,6 @@ def test_bridges_lead_from_small_groups_to_their_look_alikes():
     assert bridges == [(0, 4), (2, 5), (4, 5)]
     in_file_order = bridge_candidates(6, edges, np.zeros((6, 0), np.int64), set(), per_group=1)
     assert in_file_order == [(2, 3), (4, 5)]
-
-
-def test_photos_left_out_come_with_a_reason():
-    reasons = dict(
-        left_out(("a", "b", "c", "d", "e", "f"), ("a", "b"), np.array([0, 1, 2]), np.array([[0, 1], [1, 2], [3, 4]]))
-    )
-    assert set(reasons) == {"c", "d", "e", "f"}
-    assert "no pose fits" in reasons["c"]
-    assert "apart" in reasons["d"]
-    assert "no features" in reasons["f"]
 
 
 def test_covisible_pairs_count_shared_points():

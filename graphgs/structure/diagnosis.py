@@ -1,0 +1,184 @@
+"""What can be said about a reconstruction beyond its poses: who was left out and why, which groups there are, which
+cameras are weak, which pairs object. Kept with the structure, so that later questions need no work.
+"""
+
+import dataclasses
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from graphgs.scene.reconstruction import Reconstruction
+from graphgs.sources.photos import Photos
+from graphgs.structure.components import components
+from graphgs.structure.contradictions import PairSupport, PointLookup, project
+from graphgs.structure.evidence import TriedPairs, VerifiedMatches, read_tried
+from graphgs.structure.groups import Bridge, Group, named_groups
+from graphgs.structure.left_out import LeftOut, PhotoEvidence, left_out
+from graphgs.structure.matching import Matches
+from graphgs.structure.prior import Prior
+from graphgs.structure.sharpness import sharpness
+from graphgs.structure.soundness import Soundness
+
+_REFERENCES = 60  # placed photos whose sharpness is measured, to compare those left out with
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Facts about the photos and their poses. NaN: not measured."""
+
+    names: tuple[str, ...]  # [N] all photos
+    sharpness: np.ndarray  # [N]
+    contrast: np.ndarray  # [N]
+    features: np.ndarray  # [N]
+    points: np.ndarray  # [N] triangulated points seen; 0 without a pose
+    error_px: np.ndarray  # [N] mean reprojection error of what it sees
+    tried: TriedPairs
+    support: PairSupport  # pairs are indices into the reconstruction's names
+    soundness: Soundness
+    left_out: tuple[LeftOut, ...]
+    groups: tuple[Group, ...]  # the largest first
+
+    def save(self, folder: Path) -> None:
+        """Write diagnosis.json and diagnosis.npz."""
+        arrays = {name: getattr(self, name) for name in ("sharpness", "contrast", "features", "points", "error_px")}
+        support = {f"support_{f.name}": getattr(self.support, f.name) for f in dataclasses.fields(PairSupport)}
+        tried = {f"tried_{f.name}": getattr(self.tried, f.name) for f in dataclasses.fields(TriedPairs)}
+        np.savez(folder / "diagnosis.npz", **arrays, **support, **tried)
+        header = {
+            "names": list(self.names),
+            "soundness": dataclasses.asdict(self.soundness),
+            "left_out": [dataclasses.asdict(entry) for entry in self.left_out],
+            "groups": [dataclasses.asdict(group) for group in self.groups],
+        }
+        (folder / "diagnosis.json").write_text(json.dumps(header, indent=1))
+
+    @staticmethod
+    def load(folder: Path) -> "Diagnosis":
+        header = json.loads((folder / "diagnosis.json").read_text())
+        with np.load(folder / "diagnosis.npz", allow_pickle=False) as stored:
+            arrays = dict(stored)
+        support = {f.name: arrays.pop(f"support_{f.name}") for f in dataclasses.fields(PairSupport)}
+        tried = {f.name: arrays.pop(f"tried_{f.name}") for f in dataclasses.fields(TriedPairs)}
+        sound = header["soundness"]
+        sound |= {"pair": tuple(sound["pair"]) if sound["pair"] else None, "doubts": tuple(sound["doubts"])}
+        return Diagnosis(
+            names=tuple(header["names"]),
+            **arrays,
+            tried=TriedPairs(**tried),
+            support=PairSupport(**support),
+            soundness=Soundness(**sound),
+            left_out=tuple(LeftOut(**entry) for entry in header["left_out"]),
+            groups=tuple(_group(group) for group in header["groups"]),
+        )
+
+
+def diagnose(
+    photos: Photos,
+    matches: Matches,
+    prior: Prior,
+    model: Reconstruction,
+    verified: VerifiedMatches,
+    judgement: tuple[Soundness, PairSupport],  # of the model
+    *,
+    threads: int,
+) -> Diagnosis:
+    """Gather the facts about the chosen model. Reads the photos left out and some others, nothing else."""
+    names, n = photos.names, len(photos.names)
+    soundness, support = judgement
+    row = {name: k for k, name in enumerate(model.names)}
+    image_of = np.array([row.get(name, -1) for name in names], np.int64)
+    placed = image_of >= 0
+    sharp, contrast = sharpness(photos, _to_measure(placed), threads=threads)
+    tried = read_tried(matches.database)
+    members = components(n, matches.edges)
+    group = np.zeros(n, np.int64)
+    for k, photo in enumerate(members):
+        group[photo] = k
+    evidence = PhotoEvidence(
+        names=names,
+        placed=placed,
+        group=group,
+        sharpness=sharp,
+        contrast=contrast,
+        features=matches.features,
+        tried=np.bincount(tried.pairs.ravel(), minlength=n),
+        verified=np.bincount(matches.edges.ravel(), minlength=n),
+        closest=_closest(tried, n),
+        mutual=_mutual(matches.edges, n, ~placed),
+        seen=_seen(verified, model, image_of),
+    )
+    points, error_px = _per_photo(model)
+    return Diagnosis(
+        names=names,
+        sharpness=sharp,
+        contrast=contrast,
+        features=matches.features,
+        points=np.where(placed, points[image_of], 0),
+        error_px=np.where(placed, error_px[image_of], np.nan),
+        tried=tried,
+        support=support,
+        soundness=soundness,
+        left_out=left_out(evidence),
+        groups=named_groups(names, members, tried, prior.similar),
+    )
+
+
+def _to_measure(placed: np.ndarray) -> np.ndarray:
+    """The photos left out, and placed ones evenly spread."""
+    there = np.flatnonzero(placed)
+    if placed.all() or not len(there):
+        return np.flatnonzero(~placed)
+    some = there[np.unique(np.linspace(0, len(there) - 1, min(len(there), _REFERENCES)).round().astype(int))]
+    return np.concatenate([np.flatnonzero(~placed), some])
+
+
+def _closest(tried: TriedPairs, n: int) -> np.ndarray:
+    """[N] most features matched in a pair that did not verify."""
+    result = np.zeros(n, np.int64)
+    failed = tried.inliers == 0
+    for side in range(2):
+        np.maximum.at(result, tried.pairs[failed, side], tried.matches[failed])
+    return result
+
+
+def _mutual(edges: np.ndarray, n: int, wanted: np.ndarray) -> np.ndarray:
+    """[N] share of the pairs among a photo's partners that are edges too; 1 for fewer than two partners."""
+    linked = {(int(i), int(j)) for i, j in np.sort(edges, axis=1)}
+    result = np.ones(n)
+    for k in np.flatnonzero(wanted):
+        partners = np.unique(edges[(edges == k).any(1)])
+        partners = partners[partners != k].tolist()
+        pairs = [(a, b) for x, a in enumerate(partners) for b in partners[x + 1 :]]
+        if pairs:
+            result[k] = sum(pair in linked for pair in pairs) / len(pairs)
+    return result
+
+
+def _seen(verified: VerifiedMatches, model: Reconstruction, image_of: np.ndarray) -> np.ndarray:
+    """[N] matches whose feature in the other, placed photo has a triangulated point."""
+    lookup, pair_of = PointLookup(model), verified.pair_of
+    result = np.zeros(len(image_of), np.int64)
+    for side, xy in enumerate((verified.xy_i, verified.xy_j)):
+        image = image_of[verified.pairs[pair_of, side]]
+        there = np.flatnonzero(image >= 0)
+        has = there[lookup.points(image[there], xy[there]) >= 0]
+        result += np.bincount(verified.pairs[pair_of[has], 1 - side], minlength=len(image_of))
+    return result
+
+
+def _per_photo(model: Reconstruction) -> tuple[np.ndarray, np.ndarray]:
+    """(points seen [M], mean reprojection error [M] px) of the model's photos."""
+    count = len(model.names)
+    point = np.repeat(np.arange(len(model.points)), model.track_lengths)
+    seen = project(model, model.track_images, model.points[point])
+    error = np.linalg.norm(seen - model.track_xy, axis=1)
+    points = np.bincount(model.track_images, minlength=count)
+    total = np.bincount(model.track_images, np.nan_to_num(error), minlength=count)
+    return points, total / np.maximum(points, 1)
+
+
+def _group(fields: dict) -> Group:
+    bridge = None if fields["bridge"] is None else Bridge(**fields["bridge"])
+    return Group(fields["name"], tuple(fields["photos"]), bridge)
