@@ -21,6 +21,19 @@ from graphgs.graph.build import build_camera_graph
 from graphgs.points import PrunedPoints, initial_points
 from graphgs.scene.views import Views
 from graphgs.sources import Photos, fingerprint, load_photos
+from graphgs.stages import (
+    COARSE,
+    EVALUATION,
+    GRAPH,
+    MAPPING,
+    MATCHES,
+    PAIRS,
+    PHOTOS,
+    POINTS,
+    STAGES,
+    TRAINING,
+    VIEWS,
+)
 from graphgs.structure.candidates import candidate_pairs
 from graphgs.structure.config import StructureConfig
 from graphgs.structure.extra_pairs import read_extra_pairs
@@ -36,18 +49,6 @@ from graphgs.structure.undistort import undistort
 from graphgs.training import train
 from graphgs.training.trained import Trained
 from graphgs.workspace import Outcome, Stage, Workspace, digest
-
-PHOTOS = Stage(1, "photos", 2)
-COARSE = Stage(2, "coarse", 2)
-PAIRS = Stage(3, "pairs", 2)
-MATCHES = Stage(4, "matches", 1)
-MAPPING = Stage(5, "mapping", 2)
-VIEWS = Stage(6, "views", 1)
-GRAPH = Stage(7, "graph", 1)
-POINTS = Stage(8, "points", 1)
-TRAINING = Stage(9, "training", 2)
-EVALUATION = Stage(10, "evaluation", 1)
-STAGES = (PHOTOS, COARSE, PAIRS, MATCHES, MAPPING, VIEWS, GRAPH, POINTS, TRAINING, EVALUATION)
 
 # The settings each stage reads (patterns over stage.field); a setting that changes reruns what follows from it.
 READS: dict[Stage, tuple[str, ...]] = {
@@ -246,9 +247,11 @@ def partial_error(posed: Posed, limits: StructureConfig) -> PartialError:
     reasons = [f"{len(structure.reconstruction.names)} of {len(posed.photos.photos)} photos could be placed"]
     if structure.component < len(posed.photos.photos):
         reasons.append(f"the largest group with common features holds {structure.component}")
-    trusted = structure.agreement is not None and structure.agreement.within(limits)
-    if not trusted:
+    agreed = structure.agreement is not None and structure.agreement.within(limits)
+    if not agreed:
         reasons.append(f"the poses do not agree with {structure.compared_with or 'a second reconstruction'}")
+    reasons += structure.doubts
+    trusted = agreed and not structure.doubts
     hint = "the report names the photos and reasons; add photos in between, "
     hint += "or train on these" if trusted else "or train on these doubtful poses"
     return PartialError(f"partial: {'; '.join(reasons)}", hint=f"{hint} with --allow-partial")

@@ -126,10 +126,14 @@ class Workspace:
 
     def find(self, stage: Stage) -> "Found | None":
         """A finished stage, whatever its key; None if there is none."""
-        record = _read_record(self.cache / stage.folder)
-        if record is None:
-            return None
-        return Found(self.cache / stage.folder, record["key"], tuple(record["inputs"]), record["seconds"])
+        return find_stage(self.output, stage)
+
+
+def find_stage(output: Path, stage: Stage) -> Found | None:
+    """As Workspace.find, in a folder that is only read, while a run is at work in it or not."""
+    folder = output / "cache" / stage.folder
+    record = _read_record(folder)
+    return None if record is None else Found(folder, record["key"], tuple(record["inputs"]), record["seconds"])
 
 
 def make_writable(folder: Path) -> None:

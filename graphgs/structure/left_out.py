@@ -71,7 +71,8 @@ def _no_place(evidence: PhotoEvidence, k: int) -> tuple[Cause, str]:
         partner = evidence.names[int(members[members != k][0])]
         return "tiny group", f"shares features with {partner} alone"
     if evidence.group[k]:
-        return "another group", f"belongs to another group of {len(members)} photos, apart from the main one"
+        first, last = evidence.names[int(members[0])], evidence.names[int(members[-1])]
+        return "another group", f"belongs to {len(members)} photos apart from the main group: {first} to {last}"
     main = f"shares features with {verified} photos of the main group"
     if verified >= _FEWEST_PARTNERS and evidence.mutual[k] < _MUTUAL:
         return "repetition", f"ambiguous: {main} that mostly do not match each other: parts of the scene look alike"

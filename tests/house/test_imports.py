@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[2]
 ROOMS = [
     *("kernels", "errors", "threads", "progress", "memory", "scene", "sources", "structure", "graph", "points"),
     *("rendering", "losses", "evaluation", "training", "export", "synth", "options", "config", "workspace", "console"),
-    *("forecast", "pipeline", "outputs", "api", "commands", "cli"),
+    *("stages", "explain", "forecast", "pipeline", "outputs", "api", "commands", "cli"),
 ]
 MODULES = [path for top in ("kernels", "graphgs") for path in sorted((ROOT / top).rglob("*.py"))]
 

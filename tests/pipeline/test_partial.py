@@ -12,13 +12,14 @@ AGREED = Agreement(common=20, rotation_median_deg=0.1, rotation_p99_deg=0.5, lar
 DISAGREED = Agreement(common=20, rotation_median_deg=0.5, rotation_p99_deg=27.0, largest_shift=0.27)
 
 
-def posed(agreement: Agreement | None, *, component: int = 24) -> Posed:
+def posed(agreement: Agreement | None, *, component: int = 24, doubts: tuple[str, ...] = ()) -> Posed:
     """20 of 24 photos placed."""
     structure = SimpleNamespace(
         reconstruction=SimpleNamespace(names=("photo",) * 20),
         component=component,
         agreement=agreement,
         compared_with="the coarse reconstruction",
+        doubts=doubts,
     )
     return Posed(SimpleNamespace(photos=(None,) * 24), structure, views=None, graph=None)
 
@@ -44,3 +45,10 @@ def test_a_group_apart_is_counted():
         "largest group with common features holds 21"
         in partial_error(posed(AGREED, component=21), StructureConfig()).message
     )
+
+
+def test_doubts_are_told_although_two_reconstructions_agree():
+    error = partial_error(posed(AGREED, doubts=("parts of the scene look alike",)), StructureConfig())
+    assert "do not agree" not in error.message
+    assert "parts of the scene look alike" in error.message
+    assert "doubtful" in error.hint

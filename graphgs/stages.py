@@ -1,0 +1,15 @@
+"""The stages by place, name and version. Light to import: what only reads artefacts needs no more of the pipeline."""
+
+from graphgs.workspace import Stage
+
+PHOTOS = Stage(1, "photos", 2)
+COARSE = Stage(2, "coarse", 2)
+PAIRS = Stage(3, "pairs", 2)
+MATCHES = Stage(4, "matches", 1)
+MAPPING = Stage(5, "mapping", 3)
+VIEWS = Stage(6, "views", 1)
+GRAPH = Stage(7, "graph", 1)
+POINTS = Stage(8, "points", 1)
+TRAINING = Stage(9, "training", 2)
+EVALUATION = Stage(10, "evaluation", 2)
+STAGES = (PHOTOS, COARSE, PAIRS, MATCHES, MAPPING, VIEWS, GRAPH, POINTS, TRAINING, EVALUATION)
