@@ -29,8 +29,8 @@ class RunConfig:
     seed: int = 0
     """Of everything that draws."""
     prior: str = "auto"
-    """Coarse poses that choose the pairs: auto (from the photos), sequence (file order), gps (EXIF), gps=FILE (CSV or
-    GeoJSON), poses=FILE. GPS also makes the result metric, with z up and y north."""
+    """Coarse poses that choose the pairs: auto (from the photos), learned (the same by XFeat), sequence (file order),
+    gps (EXIF), gps=FILE (CSV or GeoJSON), poses=FILE. GPS also makes the result metric, with z up and y north."""
     allow_partial: bool = False
     """Train also when only part of the photos could be placed."""
 

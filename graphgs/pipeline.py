@@ -55,7 +55,7 @@ READS: dict[Stage, tuple[str, ...]] = {
     PHOTOS: ("sources.*",),
     COARSE: (
         "run.seed", "run.prior", "structure.poses", "structure.coarse_*", "structure.sequence_window",
-        "structure.retrieval_*", "structure.min_registered",
+        "structure.retrieval_*", "structure.learned_*", "structure.min_registered",
     ),
     PAIRS: ("pairing.*",),
     MATCHES: ("run.seed", "structure.fine_*", "structure.min_inliers", "structure.bridge_pairs"),

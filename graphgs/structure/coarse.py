@@ -1,7 +1,8 @@
 """A quick reconstruction at low resolution: where every photo was taken, roughly, in seconds.
 
 A small true reconstruction serves better as a prior than pairwise learned poses: it is already global. When it places
-too few photos it is tried again with another seed and intrinsics held, then with more pixels and features.
+too few photos it is tried again with another seed and intrinsics held, then with more pixels and features, and then,
+where they are installed, with learned matches.
 """
 
 from pathlib import Path
@@ -16,6 +17,7 @@ from graphgs.structure.coarse_attempt import Attempt, Found, run_attempt
 from graphgs.structure.colmap import ColmapWorker
 from graphgs.structure.config import StructureConfig
 from graphgs.structure.feature_cache import FeatureCache
+from graphgs.structure.learned import check_installed, is_installed
 from graphgs.structure.prior import Prior, poses_by_name
 
 _ANOTHER_SEED = 1000  # offset
@@ -30,13 +32,24 @@ def coarse_poses(
     threads: int,
     seed: int,
     cache: FeatureCache | None = None,
+    learned: bool = False,
 ) -> Prior:
-    """Our own coarse reconstruction of the photos. Raises DataError when not even three photos fit together."""
+    """Our own coarse reconstruction of the photos. Learned matches come into it where SIFT places too few photos and
+    their package is installed, or at once with `learned`.
+
+    Raises DataError when not even three photos fit together, UsageError for `learned` without its package."""
+    by_learning = Attempt(config.learned_max_side, config.learned_features, seed, False, learned=True)
+    if learned:
+        check_installed()
     attempts = (
         Attempt(config.coarse_max_side, config.coarse_features, seed, False),
         Attempt(config.coarse_max_side, config.coarse_features, seed + _ANOTHER_SEED, True),
         Attempt(config.coarse_retry_max_side, config.coarse_retry_features, seed, False),
     )
+    if learned:
+        attempts = (by_learning, *attempts)
+    elif is_installed():
+        attempts = (*attempts, by_learning)
     best: Found | None = None
     with ColmapWorker(scratch) as worker:
         for attempt in attempts:

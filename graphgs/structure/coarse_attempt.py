@@ -18,6 +18,7 @@ from graphgs.structure.feature_cache import FeatureCache
 from graphgs.structure.features import extract_features, load_descriptors
 from graphgs.structure.focal_held import held_note, is_observable
 from graphgs.structure.focal_vote import vote_of_pairs
+from graphgs.structure.learned import learned_features, learned_matches
 from graphgs.structure.retrieval import similar_photos
 from graphgs.structure.rigs import same_frame_pairs, sequences
 
@@ -68,6 +69,7 @@ class Attempt:
     features: int
     seed: int
     hold: bool  # keep the voted intrinsics, whatever the photos seem to say
+    learned: bool = False  # XFeat and LighterGlue in place of SIFT
 
 
 @dataclass(frozen=True)
@@ -98,35 +100,43 @@ def run_attempt(
 ) -> Found:
     """Features, pairs, matches, focal length and mapping; continues what a kill left."""
     n = len(photos.photos)
-    work = scratch / f"{attempt.max_side}_{attempt.features}"
+    work = scratch / f"{attempt.max_side}_{attempt.features}{'_learned' if attempt.learned else ''}"
     features, database = work / "features", work / "database.db"
-    extract_features(
-        photos,
-        features,
-        max_side=attempt.max_side,
-        max_features=attempt.features,
-        first_octave=0,
-        threads=threads,
-        progress=lambda done, total: reporter.progress(done, total, "coarse features"),
-        cache=cache,
-    )
+    size = {"max_side": attempt.max_side, "max_features": attempt.features}
+    if attempt.learned:
+        learned_features(photos, features, **size, threads=threads, reporter=reporter)
+    else:
+        extract_features(
+            photos,
+            features,
+            **size,
+            first_octave=0,
+            threads=threads,
+            progress=lambda done, total: reporter.progress(done, total, "coarse features"),
+            cache=cache,
+        )
     similar = similar_photos(
         *load_descriptors(photos, features), words=config.retrieval_words, neighbors=_RETRIEVAL_DEPTH, seed=0
     )
     cameras = shared_cameras(photos)
     create_database(worker, database, photos, cameras, features)
     pairs = coarse_pairs(similar[:, : config.retrieval_neighbors], n, config.sequence_window, photos.rigs)
-    worker.run(
-        "match",
-        progress=lambda done, total: reporter.progress(done, total, "coarse matches"),
-        database=database,
-        pairs=pairs.tolist(),
-        chunk_pairs=8 * config.chunk_pairs,
-        matching={},
-        verification={**_VERIFICATION, "ransac": {"random_seed": 0}},
-        threads=threads,
-        scratch=work,
-    )
+    verification = {**_VERIFICATION, "ransac": {"random_seed": 0}}
+    if attempt.learned:
+        learned_matches(photos, features, pairs.tolist(), work / "matches", threads=threads, reporter=reporter)
+        worker.run("verify_given", database=database, matches=work / "matches", verification=verification)
+    else:
+        worker.run(
+            "match",
+            progress=lambda done, total: reporter.progress(done, total, "coarse matches"),
+            database=database,
+            pairs=pairs.tolist(),
+            chunk_pairs=8 * config.chunk_pairs,
+            matching={},
+            verification=verification,
+            threads=threads,
+            scratch=work,
+        )
     worker.run("verified", database=database, out=work / "verified.npz")
     with np.load(work / "verified.npz", allow_pickle=False) as arrays:
         edges = arrays["edges"]
@@ -144,7 +154,8 @@ def run_attempt(
             found, cameras = _best_mapping(photos, guesses, attempt, hold, worker, work, reporter, threads)
     placed = 0 if found is None else len(found.names)
     reporter.event("coarse_attempt", **dataclasses.asdict(attempt), pairs=len(pairs), edges=len(edges), placed=placed)
-    note = f"own reconstruction at {attempt.max_side} px places {placed} of {n} photos"
+    by = " by learned matches" if attempt.learned else ""
+    note = f"own reconstruction at {attempt.max_side} px{by} places {placed} of {n} photos"
     if hold and not attempt.hold:
         note += f"; {held_note(cameras, shared_cameras(photos).known)}"
     return Found(found, cameras, hold, similar, edges, note)

@@ -16,10 +16,13 @@ from graphgs.errors import DiskError, GraphGSError, OutOfMemoryError
 class ColmapWorker:
     """A running worker. Use as a context manager: leaving the block ends the process, also on an exception."""
 
+    program = "graphgs.structure.colmap_worker"  # a module that answers requests as that one does
+    title = "COLMAP"
+
     def __init__(self, scratch: Path):
         scratch.mkdir(parents=True, exist_ok=True)
         self.peak_rss_mb = 0.0
-        self._log = scratch / "colmap.log"
+        self._log = scratch / f"{self.title.lower()}.log"
         self._start()
 
     def _start(self) -> None:
@@ -27,7 +30,7 @@ class ColmapWorker:
         path = os.pathsep.join(filter(None, [package_root, os.environ.get("PYTHONPATH")]))
         with open(self._log, "ab") as log:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "graphgs.structure.colmap_worker"],
+                [sys.executable, "-m", self.program],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=log,
@@ -75,7 +78,7 @@ class ColmapWorker:
         how = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
         if code == -signal.SIGKILL:
             return OutOfMemoryError(
-                f"COLMAP was killed from outside during '{job}' ({how}), most likely because memory ran out",
+                f"{self.title} was killed from outside during '{job}' ({how}), most likely because memory ran out",
                 hint="close other programs, or lower structure.fine_max_side or structure.fine_features; "
                 "the same command continues where it stopped",
             )
@@ -83,9 +86,11 @@ class ColmapWorker:
 
     def _failure(self, job: str, cause: str) -> GraphGSError:
         if "disk is full" in cause or "No space left" in cause:
-            return DiskError(f"COLMAP's '{job}' ran out of disk space: {cause}", hint="free some space and run again")
+            return DiskError(
+                f"{self.title}'s '{job}' ran out of disk space: {cause}", hint="free some space and run again"
+            )
         return GraphGSError(
-            f"COLMAP's '{job}' failed: {cause}",
+            f"{self.title}'s '{job}' failed: {cause}",
             hint=f"the worker's log is {self._log}; the same command continues where it stopped",
         )
 

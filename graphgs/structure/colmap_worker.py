@@ -11,6 +11,7 @@ import os
 import resource
 import signal
 import sys
+from collections.abc import Callable
 
 import numpy  # noqa: F401  (before pycolmap, see colmap_jobs)
 
@@ -18,13 +19,15 @@ _PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
 
 
 def main() -> None:
+    serve(_colmap_jobs)
+
+
+def serve(load: Callable[[], dict[str, Callable]]) -> None:
+    """Answer requests until the input ends, with the jobs that `load` returns; what it imports may print."""
     _die_with_parent()
     channel = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)  # what native code prints goes to the log, never between two messages
-
-    from graphgs.structure.colmap_jobs import JOBS, pycolmap
-
-    pycolmap.logging.minloglevel = pycolmap.logging.Level.ERROR.value
+    jobs = load()
 
     def send(**message) -> None:
         channel.write(json.dumps(message) + "\n")
@@ -32,12 +35,19 @@ def main() -> None:
     for line in sys.stdin:
         request = json.loads(line)
         try:
-            result = JOBS[request["job"]](**request["arguments"], progress=lambda d, t: send(progress=[d, t]))
+            result = jobs[request["job"]](**request["arguments"], progress=lambda d, t: send(progress=[d, t]))
         except Exception as error:
             send(failed=f"{type(error).__name__}: {error}")
         else:
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
             send(result=result, peak_rss_mb=peak / (2**20 if sys.platform == "darwin" else 2**10))
+
+
+def _colmap_jobs() -> dict[str, Callable]:
+    from graphgs.structure.colmap_jobs import JOBS, pycolmap
+
+    pycolmap.logging.minloglevel = pycolmap.logging.Level.ERROR.value
+    return JOBS
 
 
 def _die_with_parent() -> None:

@@ -19,6 +19,10 @@ class StructureConfig:
     """[px] image size when the first reconstruction places too few photos."""
     coarse_retry_features: int = 3000
     """Features per image when the first reconstruction places too few photos."""
+    learned_max_side: int = 800
+    """[px] image size for learned features, which come in where the first reconstruction fails."""
+    learned_features: int = 1024
+    """Largest number of learned features per image; matching costs the square of it."""
     sequence_window: int = 5
     """Neighbours in file order matched in the first reconstruction, on each side; then every power of two."""
     retrieval_words: int = 64

@@ -17,19 +17,22 @@ from graphgs.sources.poses import read_poses
 from graphgs.sources.positions import read_positions
 from graphgs.structure.cameras import SharedCameras, shared_cameras
 from graphgs.structure.coarse import coarse_poses
+from graphgs.structure.coarse_attempt import coarse_pairs
 from graphgs.structure.config import StructureConfig
 from graphgs.structure.feature_cache import FeatureCache
 from graphgs.structure.gps import enu_from_wgs84, median_position
 from graphgs.structure.prior import Prior, poses_by_name
+from graphgs.structure.relative_poses import global_poses, load_estimate
 
 _FEWEST_GPS = 3
+_KNOWN = "auto, learned, learned=FILE.py:FUNCTION, sequence, gps, gps=FILE or poses=FILE"
 
 
 def make_prior(
     config: StructureConfig,
     photos: Photos,
     *,
-    wanted: str,  # auto | sequence | gps | gps=FILE | poses=FILE
+    wanted: str,  # auto | learned | learned=FILE.py:FUNCTION | sequence | gps | gps=FILE | poses=FILE
     scratch: Path,
     reporter: Reporter,
     threads: int,
@@ -43,9 +46,13 @@ def make_prior(
     run = {"scratch": scratch, "reporter": reporter, "threads": threads, "seed": seed, "cache": cache}
     kind, _, file = wanted.partition("=")
     if not _is_known(wanted):
-        raise UsageError(f"--prior {wanted}: not known", hint="use auto, sequence, gps, gps=FILE or poses=FILE")
+        raise UsageError(f"--prior {wanted}: not known", hint=f"use {_KNOWN}")
     if kind == "auto" and photos.given is None:
         return coarse_poses(config, photos, **run)
+    if wanted == "learned":
+        return coarse_poses(config, photos, **run, learned=True)
+    if kind == "learned":
+        return model_prior(own_prior(config, photos, **run), config, photos, file)
     if kind == "sequence":
         return sequence_prior(own_prior(config, photos, **run))
     if kind == "gps":
@@ -62,7 +69,8 @@ def make_prior(
 
 def prior_fingerprint(wanted: str) -> str:
     """SHA-256 over the contents of the file that a prior is read from; "" without one."""
-    file = Path(wanted.partition("=")[2])
+    kind, _, name = wanted.partition("=")
+    file = Path(name.rpartition(":")[0] if kind == "learned" else name)
     if "=" not in wanted or not file.exists():
         return ""  # a missing file is an error of the stage itself
     total = hashlib.sha256()
@@ -151,6 +159,21 @@ def poses_prior(
     return _guided(own, placed, all_rotations, all_centers, "poses", note)
 
 
+def model_prior(own: Prior, config: StructureConfig, photos: Photos, wanted: str) -> Prior:
+    """Poses by the pairwise model of the user's "FILE.py:FUNCTION" (`relative_poses`), to choose pairs."""
+    estimate = load_estimate(wanted)
+    pairs = coarse_pairs(
+        own.similar[:, : config.retrieval_neighbors], len(own.names), config.sequence_window, photos.rigs
+    )
+    relative = estimate([photos.folder / photo.pixels for photo in photos.photos], pairs)
+    try:
+        placed, rotations, centers = global_poses(relative, len(own.names))
+    except ValueError as error:
+        raise DataError(f"{wanted}: {error}", hint="graphgs.structure.relative_poses says what is expected") from None
+    note = f"relative poses by {wanted} place {placed.sum()} of {len(placed)} photos"
+    return _guided(own, placed, rotations, centers, "learned", note)
+
+
 def given_prior(photos: Photos) -> Prior:
     """The poses and intrinsics that came with the input, to be kept or refined. Photos without one stay out."""
     given = photos.given
@@ -170,7 +193,9 @@ def given_prior(photos: Photos) -> Prior:
 
 def _is_known(wanted: str) -> bool:
     kind, equals, file = wanted.partition("=")
-    return wanted in ("auto", "sequence", "gps") or (kind in ("gps", "poses") and bool(equals and file))
+    if wanted in ("auto", "learned", "sequence", "gps"):
+        return True
+    return kind in ("gps", "learned", "poses") and bool(equals and file)
 
 
 def _given_cameras(photos: Photos) -> SharedCameras:

@@ -11,8 +11,8 @@ ROOT = Path(__file__).resolve().parents[2]
 # Left to right: a room may import itself and what stands before it.
 ROOMS = [
     *("kernels", "errors", "threads", "progress", "memory", "scene", "sources", "structure", "graph", "points"),
-    *("rendering", "losses", "evaluation", "training", "export", "synth", "options", "config", "workspace", "console"),
-    *("stages", "explain", "forecast", "pipeline", "outputs", "api", "commands", "cli"),
+    *("learned", "rendering", "losses", "evaluation", "training", "export", "synth", "options", "config"),
+    *("workspace", "console", "stages", "explain", "forecast", "pipeline", "outputs", "api", "commands", "cli"),
 ]
 MODULES = [path for top in ("kernels", "graphgs") for path in sorted((ROOT / top).rglob("*.py"))]
 

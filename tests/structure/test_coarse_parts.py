@@ -188,7 +188,7 @@ def test_file_order_is_a_line(tmp_path):
     assert {(k, k + 1) for k in range(39)} <= {tuple(p) for p in pairs.pairs.tolist()}
 
 
-@pytest.mark.parametrize("wanted", ["learned", "poses", "poses=", "gps=", "sequence=5", ""])
+@pytest.mark.parametrize("wanted", ["wishes", "learned=", "poses", "poses=", "gps=", "sequence=5", ""])
 def test_an_unknown_prior_is_a_usage_error(tmp_path, wanted):
     with pytest.raises(UsageError, match="not known"):
         make_prior(
