@@ -1,6 +1,6 @@
 """Launch a Warp kernel on several CPU threads, or in blocks of GPU threads.
 
-One CPU launch runs on one thread but releases Python's lock, so two threads that launch two ranges work at once. A
+One CPU launch runs on one thread but releases Python's lock, so two threads that draw ranges work at once. A
 kernel that wants this takes `first: int` as its FIRST argument and computes its index as `first + wp.tid()`. Each index
 must write only memory of its own: then the result does not depend on the number of threads.
 """
@@ -8,7 +8,6 @@ must write only memory of its own: then the result does not depend on the number
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from itertools import count as counter
 
 import warp as wp
 
@@ -35,6 +34,8 @@ def _start_warp() -> None:
 
 _start_warp()
 
+from graphgs.kernels.shared_range import SharedRange  # noqa: E402 - it makes a kernel, so Warp must have started
+
 
 def launch_range(
     kernel: wp.Kernel,
@@ -50,29 +51,17 @@ def launch_range(
     """Run `kernel` for every index in [0, count). On CUDA this is one launch; `threads` matters on the CPU only."""
     if count <= 0:
         return
-    if not wp.get_device(device).is_cpu or threads == 1 or count <= min_chunk:
+    alone = threads == 1 or count <= min_chunk or wp.config.enable_cpu_blocks  # blocks are for tests
+    if alone or not wp.get_device(device).is_cpu:
         wp.launch(kernel, dim=count, inputs=[0, *inputs], outputs=list(outputs), device=device)
         return
-    kernel.module.load(wp.get_device(device), 1)  # compile once (CPU launches have block_dim 1), before threads race
     size = max(min_chunk, -(-count // (threads * chunks_per_thread)))
-    starts = range(0, count, size)
-    ticket = counter()
-
-    def drain() -> None:
-        # Packing the arguments costs more than the call: do it once per thread, then only move the range.
-        command = wp.launch(
-            kernel, dim=size, inputs=[0, *inputs], outputs=list(outputs), device=device, record_cmd=True
-        )
-        while (index := next(ticket)) < len(starts):
-            first = starts[index]
-            command.set_param_at_index(0, first)
-            command.set_dim(min(size, count - first))
-            command.launch()
-
-    helpers = [_pool(threads - 1).submit(drain) for _ in range(threads - 1)]
-    drain()
+    shared = SharedRange(kernel, count, size, inputs=inputs, outputs=outputs)
+    helpers = [_pool(threads - 1).submit(shared.run) for _ in range(threads - 1)]
+    shared.run(wait=True)
     for helper in helpers:
-        if not helper.cancel():  # one that has not begun has nothing left to do: do not wait for it to wake up
+        # All is done now. A helper that wakes up later finds nothing left, and is not waited for.
+        if not helper.cancel() and helper.done():
             helper.result()
 
 
