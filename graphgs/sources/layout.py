@@ -5,6 +5,7 @@ a project whose layout has a place for them (COLMAP's images/ and sparse/, Waymo
 that "photos without poses" is what a folder of photos means.
 """
 
+import contextlib
 import dataclasses
 import os
 from dataclasses import dataclass, field
@@ -21,7 +22,7 @@ from graphgs.sources.listing import OUTPUT_MARK, find_masks, holds_photos, list_
 from graphgs.sources.nuscenes import read_pose_json
 from graphgs.sources.photos import Skipped
 from graphgs.sources.rigs import LEAST_FRAMES, find_rigs
-from graphgs.sources.trajectory import is_kitti
+from graphgs.sources.trajectory import is_kitti, read_calibration
 from graphgs.sources.transforms import Transforms
 
 IMAGE_FOLDERS = ("images", "image_2", "image_0", "image_02", "image_00")  # the first that exists; KITTI's after ours
@@ -135,6 +136,12 @@ def _unused(source: Path, root: Path, cameras: tuple[str, ...] = ()) -> list[str
         for name in POSE_FILES
         if (source / name).is_file()
     ]
+    if (source / "calib.txt").is_file():
+        with contextlib.suppress(DataError):  # another program's calibration
+            focal = read_calibration(source / "calib.txt")[0, 0]
+            notes.append(
+                f"calib.txt gives a focal length of {focal:.1f} px; --set sources.focal_px={focal:.1f} uses it"
+            )
     folders = sorted(p for p in source.iterdir() if p.is_dir() and not p.name.startswith("."))
     models = {find_model(f) for f in [source, *folders] if not (f / OUTPUT_MARK).exists()} - {None}
     for model in sorted(models):

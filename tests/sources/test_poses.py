@@ -327,7 +327,9 @@ def test_kitti_sequence(tmp_path):
     names = write_photos(tmp_path / "image_0", 4)
     write_kitti(tmp_path, posed(names))
     (tmp_path / "image_0" / names[1]).write_text("words")  # rows still belong to the files in order
-    assert load(tmp_path, tmp_path / "out").given is None
+    folder = load(tmp_path, tmp_path / "out")
+    assert folder.given is None
+    assert "--set sources.focal_px=50.0 uses it" in folder.given_note
     photos = load(tmp_path / "poses.txt", tmp_path / "out")
     assert photos.given.names == (names[0], names[2], names[3])
     np.testing.assert_allclose(photos.given.centers, posed(names).centers[[0, 2, 3]], atol=1e-9)
