@@ -76,6 +76,7 @@ def collect_metrics(run: Run, posed: Posed, made: Made | None, versions: dict[st
         "psnr": None if evaluation is None else evaluation.psnr,
         "ssim": None if evaluation is None else evaluation.ssim,
         "lpips": None,
+        "psnr_exposure_fitted": None if evaluation is None else evaluation.psnr_exposure_fitted,
         "views": [] if evaluation is None else [_plain(view) for view in evaluation.views],
         "missing_views": list(posed.views.missing_test if evaluation is None else evaluation.missing),
         "num_splats": None if made is None else len(made.trained.splats),
@@ -231,7 +232,9 @@ def _held_out(made: Made, folder: Path, posed: Posed) -> HeldOutFigures:
         HeldOutView(view.name, view.psnr, view.ssim, folder / view.truth, folder / view.render, folder / view.error)
         for view in evaluation.views
     )
-    return HeldOutFigures(views, evaluation.psnr, evaluation.ssim, None, evaluation.missing)
+    return HeldOutFigures(
+        views, evaluation.psnr, evaluation.ssim, None, evaluation.missing, evaluation.psnr_exposure_fitted
+    )
 
 
 def _files(trained: bool) -> tuple[OutputFile, ...]:
@@ -249,7 +252,12 @@ def _files(trained: bool) -> tuple[OutputFile, ...]:
 
 
 def _plain(view) -> dict[str, Any]:
-    return {"name": view.name, "psnr": view.psnr, "ssim": view.ssim}
+    return {
+        "name": view.name,
+        "psnr": view.psnr,
+        "ssim": view.ssim,
+        "psnr_exposure_fitted": view.psnr_exposure_fitted,
+    }
 
 
 def publish_pictures(source: Path, target: Path) -> None:

@@ -11,6 +11,7 @@ import torch
 from graphgs.evaluation.error_map import IGNORED
 from graphgs.evaluation.evaluate import Evaluation, ViewScore, evaluate, render_view
 from graphgs.progress import Reporter
+from graphgs.rendering.splats import SH_C0
 from tests.support.tiny_scene import tiny_scene
 
 
@@ -120,7 +121,7 @@ def test_names_in_folders_and_with_odd_characters_stay_in_the_folder(tmp_path):
 
 
 def test_an_evaluation_comes_back_from_its_file(tmp_path):
-    scores = (ViewScore("é/a.jpg", 27.5, 0.9, "1", "2", "3"), ViewScore("b.jpg", 20.5, 0.7, "4", "5", "6"))
+    scores = (ViewScore("é/a.jpg", 27.5, 0.9, "1", "2", "3", 28.5), ViewScore("b.jpg", 20.5, 0.7, "4", "5", "6"))
     saved = Evaluation(scores, ("c.jpg",))
     saved.save(tmp_path)
     assert Evaluation.load(tmp_path) == saved
@@ -153,7 +154,9 @@ def test_a_broken_or_an_exact_rendering_still_gives_numbers(tmp_path):
     unseen = dataclasses.replace(scene.truth, logit_opacities=torch.full((60,), -50.0))
     assert run(scene, tmp_path / "exact", splats=unseen).views[0].psnr == 100.0
     broken = dataclasses.replace(scene.truth, sh_coeffs=scene.truth.sh_coeffs * float("nan"))
-    result = run(scene, tmp_path / "broken", splats=broken)
+    told = Told()
+    result = run(scene, tmp_path / "broken", splats=broken, reporter=told)
+    assert "60 of 60 Gaussians are not finite" in told.warnings[0]
     result.save(tmp_path)
     assert "NaN" not in (tmp_path / "evaluation.json").read_text()
     assert result.psnr < 100
@@ -165,3 +168,16 @@ def test_rendering_for_evaluation_keeps_no_gradient(tmp_path):
     image = render_view(splats, scene.views, 0)
     assert image.dtype == np.float32
     assert image.shape == (28, 40, 3)
+
+
+def test_the_figure_with_fitted_exposure_stands_beside_the_headline(tmp_path):
+    scene = tiny_scene(tmp_path)
+    sh_coeffs = 0.6 * scene.truth.sh_coeffs
+    sh_coeffs[:, 0] -= 0.2 / SH_C0  # colour = SH + 0.5, all of it times 0.6
+    darker = dataclasses.replace(scene.truth, sh_coeffs=sh_coeffs)
+    plain, dark = (run(scene, tmp_path / name, splats=s) for name, s in (("plain", scene.truth), ("dark", darker)))
+    assert dark.psnr < plain.psnr - 20  # the headline forgives nothing
+    assert dark.psnr_exposure_fitted > 50  # rounding to 8 bits is left
+    dark.save(tmp_path)
+    assert json.loads((tmp_path / "evaluation.json").read_text())["psnr_exposure_fitted"] == dark.psnr_exposure_fitted
+    assert Evaluation.load(tmp_path) == dark

@@ -94,6 +94,7 @@ class HeldOutFigures:
     ssim: float | None
     lpips: float | None = None  # None = not measured
     missing: tuple[str, ...] = ()  # test photos that could not be placed
+    psnr_exposure_fitted: float | None = None  # dB of right halves, exposure fitted on left ones
 
 
 @dataclass(frozen=True)

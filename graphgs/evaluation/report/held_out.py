@@ -51,7 +51,11 @@ def _introduction(tests: HeldOutFigures, shown: int) -> str:
     text = "Photos that training never saw: the photo, the scene rendered from its pose, and their difference. "
     if shown < len(tests.views):
         text += f"{shown} of {len(tests.views)} are shown: the worst, the best and evenly spaced ones. "
-    return text + "Choose a picture to enlarge it; the arrow keys then flip between photo and rendering."
+    text += "Choose a picture to enlarge it; the arrow keys then flip between photo and rendering."
+    if tests.psnr_exposure_fitted is not None:
+        right = f"{tests.psnr_exposure_fitted:.2f} dB"
+        text += f" With the exposure fitted on the left half of each photo, the right halves reach {right}."
+    return text
 
 
 def _trio(view: HeldOutView, trio: list[tuple[str, int, int] | None]) -> Markup:
