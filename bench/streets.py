@@ -1,5 +1,6 @@
 """Rendered streets with known cameras, and their coarse poses: made once, kept in a folder outside the repository."""
 
+import functools
 import hashlib
 import json
 import resource
@@ -84,8 +85,9 @@ def cpu_seconds() -> Iterator[list[float]]:
     result.append(_cpu() - before)
 
 
+@functools.cache
 def _version() -> str:
-    """Of the code whose results are kept."""
+    """Of the code whose results are kept; once per run, whatever is edited meanwhile."""
     content = hashlib.sha256()
     for path in sorted(Path(graphgs.structure.__file__).parent.rglob("*.py")):
         content.update(path.read_bytes())
