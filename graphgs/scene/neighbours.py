@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
-_DENSE_LIMIT = 2048  # below, a full sort of each row; above, a k-d tree
+_DENSE_LIMIT = 256  # below, a full sort of each row; above, a k-d tree
 _CHUNK = 1 << 21  # distances held at once
 _WIDEST_TIE = 1024  # above this many equally near cameras, ties are broken by the tree and not by index
 _COINCIDENT = 1e-9  # of the scene's median radius: centres closer than this are the same place
@@ -21,12 +21,15 @@ def nearest(
     k = max(min(k, n - 1), 0)
     if k == 0:
         return np.zeros((n, 0), np.int64), np.zeros((n, 0))
+    index, distance = np.empty((n, k), np.int64), np.empty((n, k))
     if n <= _DENSE_LIMIT:
-        blocks = [_dense_rows(centers, rows, k) for rows in _chunks(np.arange(n), n)]
+        for rows in _chunks(np.arange(n), n):
+            index[rows], distance[rows] = _dense_rows(centers, rows, k)
     else:
         tree = cKDTree(centers)
-        blocks = [_tree_rows(centers, tree, rows, k, threads) for rows in _chunks(np.arange(n), k + 9)]
-    return np.concatenate([b[0] for b in blocks]), np.concatenate([b[1] for b in blocks])
+        for rows in _chunks(tree.indices, k + 9):  # neighbours one after the other: their part of the tree is at hand
+            index[rows], distance[rows] = _tree_rows(centers, tree, rows, k, threads)
+    return index, distance
 
 
 def ranked_rows(centers: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -42,8 +45,12 @@ def ranked_rows(centers: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.n
 def median_spacing(centers: np.ndarray, rank: int = 5) -> float:
     """Median distance from a camera to its neighbour of that rank (the farthest there is, in smaller scenes).
     1 where it says nothing: fewer than two cameras, or most of them in one place."""
-    distance = nearest(centers, rank)[1]
-    spacing = float(np.median(distance[:, -1])) if distance.size else 0.0
+    return spacing_of(nearest(centers, rank)[1])
+
+
+def spacing_of(distances: np.ndarray, rank: int = 5) -> float:
+    """`median_spacing` from the distances [N, K] that `nearest` found."""
+    spacing = float(np.median(distances[:, min(rank, distances.shape[1]) - 1])) if distances.size else 0.0
     return spacing if spacing > 0 else 1.0
 
 
@@ -89,8 +96,8 @@ def _tree_rows(
 ) -> tuple[np.ndarray, np.ndarray]:
     """`nearest` of some rows. A row whose k-th distance is tied beyond what was queried is queried again, wider."""
     n = len(centers)
-    index, distance = np.zeros((len(rows), k), np.int64), np.zeros((len(rows), k))
-    todo, width = np.arange(len(rows)), min(k + 9, n)
+    index, distance, distinct = _untied_rows(centers, tree, rows, k, threads)
+    todo, width = np.flatnonzero(~distinct), min(k + 9, n)
     while len(todo):
         own = rows[todo][:, None]
         found = tree.query(centers[rows[todo]], k=np.arange(1, width + 1), workers=threads)[1]
@@ -108,3 +115,15 @@ def _tree_rows(
             break
         todo, width = todo[tied], min(2 * width, n)
     return index, distance
+
+
+def _untied_rows(
+    centers: np.ndarray, tree: cKDTree, rows: np.ndarray, k: int, threads: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(indices [R, K], distances [R, K], [R] bool: whether no two of these distances, or the next one, are equal)."""
+    length, found = tree.query(centers[rows], k=np.arange(1, k + 3), workers=threads)
+    distinct = (found[:, 0] == rows) & (length[:, 1:] * (1.0 - 1e-12) > length[:, :-1]).all(1)
+    found = found[:, 1 : k + 1]
+    found[~distinct] = 0  # past the last camera SciPy says n
+    difference = centers[found] - centers[rows][:, None]
+    return found, np.sqrt((difference * difference).sum(-1)), distinct

@@ -2,6 +2,7 @@
 
 import dataclasses
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -24,34 +25,61 @@ class CoarseViews:
     row: np.ndarray  # [N] int into the arrays below; -1: only the frustum is known
     seen: np.ndarray  # [K, S, 3] points likely in sight: one per cell, then some of the camera's own
     far: np.ndarray  # [K, CELLS] depth behind which a cell of the image shows nothing
+    hull_slope: np.ndarray  # [N, 2] as `slope` and `depth_range`, but so that all samples lie within
+    hull_depths: np.ndarray  # [N, 2]
 
-    @property
-    def has_points(self) -> np.ndarray:
-        """[N] bool."""
-        return self.row >= 0
+    def has_points(self, cameras: np.ndarray) -> np.ndarray:
+        """[C] bool."""
+        return self.row[cameras] >= 0
 
-    def samples(self, cameras: np.ndarray) -> np.ndarray:
+    def samples(self, cameras: np.ndarray, block: slice) -> np.ndarray:
         """[C, 3, S] of cameras that all have points, or all have none: then even over the frustum."""
-        if self.has_points[cameras].any():
-            return self.seen[self.row[cameras]].transpose(0, 2, 1)
+        if self.has_points(cameras).any():
+            return self.seen[self.row[cameras], block].transpose(0, 2, 1)
         slope, depths = self.slope[cameras], self.depth_range[cameras]
-        u, v, s = _SEQUENCE
-        z = depths[:, :1] + (depths[:, 1:] - depths[:, :1]) * s
+        u, v, s = _SEQUENCE[:, block]
+        samples = np.empty((len(cameras), 3, len(s)))
+        samples[:, 2] = depths[:, :1] + (depths[:, 1:] - depths[:, :1]) * s
+        samples[:, 0] = u * slope[:, :1] * samples[:, 2]
+        samples[:, 1] = v * slope[:, 1:] * samples[:, 2]
+        return samples
+
+    def corners(self, cameras: np.ndarray) -> np.ndarray:
+        """[C, 3, 8] of a frustum that holds all samples of a camera."""
+        slope, depths = self.hull_slope[cameras], self.hull_depths[cameras]
+        u, v, side = _CORNERS
+        z = depths[:, side]
         return np.stack([u * slope[:, :1] * z, v * slope[:, 1:] * z, z], axis=1)
+
+    @cached_property
+    def reach(self) -> np.ndarray:
+        """[N] distance that no sample of a camera exceeds."""
+        return self.hull_depths[:, 1] * np.sqrt(1.0 + (self.hull_slope**2).sum(1))
+
+    @cached_property
+    def farthest(self) -> np.ndarray:
+        """[N] the largest of a camera's far limits."""
+        farthest = self.depth_range[:, 1].copy()
+        if len(self.far):
+            farthest[self.row >= 0] = self.far.max(1)
+        return farthest
 
     def far_limits(
         self,
         cameras: np.ndarray,  # [C]
-        tangents: np.ndarray,  # [2, C, S] x / z and y / z
+        points: np.ndarray,  # [C, 3, S] in their frames
     ) -> np.ndarray:
-        """[C, S] depth of what the camera sees there; at the nearest edge for directions outside the image."""
-        limits = np.broadcast_to(self.depth_range[cameras, 1:], tangents.shape[1:])
-        known = self.has_points[cameras]
-        if not known.any():
+        """[C, S] depth of what the camera sees where a point in front of it falls; at the nearest edge if that is
+        outside the image. [C, 1] where there are only frusta."""
+        limits = self.depth_range[cameras, 1:]
+        known = np.flatnonzero(self.has_points(cameras))
+        if not len(known):
             return limits
-        limits = limits.copy()
-        cameras = cameras[known]
-        cell = _cells(tangents[:, known] / self.slope[cameras].T[..., None])
+        cameras, points = cameras[known], points[known]
+        z = np.where(points[:, 2:] > 0, points[:, 2:], 1.0)
+        uv = points[:, :2] / z / self.slope[cameras][..., None]
+        cell = _cells(uv.transpose(1, 0, 2))
+        limits = np.repeat(limits, points.shape[2], axis=1)
         limits[known] = np.take_along_axis(self.far[self.row[cameras]], cell, axis=1)
         return limits
 
@@ -61,8 +89,8 @@ def frustum_views(
     depth_range: np.ndarray,  # [N, 2]
 ) -> CoarseViews:
     """Nothing known but how wide and how far the cameras see."""
-    nothing = np.zeros((0, 0, 3)), np.zeros((0, CELLS))
-    return CoarseViews(np.tan(half_angle), depth_range, np.full(len(half_angle), -1), *nothing)
+    slope, nothing = np.tan(half_angle), np.full(len(half_angle), -1)
+    return CoarseViews(slope, depth_range, nothing, np.zeros((0, 0, 3)), np.zeros((0, CELLS)), slope, depth_range)
 
 
 def with_points(
@@ -98,7 +126,11 @@ def with_points(
     first = np.searchsorted(cell, CELLS * np.arange(k + 1))
     spread = (np.arange(_OWN_SAMPLES) + 0.5) / _OWN_SAMPLES
     own = local[(first[:-1, None] + spread * np.diff(first)[:, None]).astype(np.int64)]
-    return dataclasses.replace(views, row=row, seen=np.concatenate([grid, own], axis=1), far=far)
+    seen = np.concatenate([grid, own], axis=1)
+    hull_slope, hull_depths = views.slope.copy(), views.depth_range.copy()
+    hull_slope[enough] = np.abs(seen[..., :2] / seen[..., 2:]).max(1)
+    hull_depths[enough] = np.stack([seen[..., 2].min(1), seen[..., 2].max(1)], axis=1)
+    return dataclasses.replace(views, row=row, seen=seen, far=far, hull_slope=hull_slope, hull_depths=hull_depths)
 
 
 def local_points(
@@ -160,6 +192,7 @@ def _low_discrepancy(count: int) -> np.ndarray:
 
 
 _SEQUENCE = _low_discrepancy(_FRUSTUM_SAMPLES)
+_CORNERS = np.array([[-1, 1, -1, 1] * 2, [-1, -1, 1, 1] * 2, [0] * 4 + [1] * 4])  # image sides, and near or far
 _CELL_CENTERS = np.stack(
     [
         (np.arange(CELLS) % COLUMNS + 0.5) * (2.0 / COLUMNS) - 1.0,

@@ -61,7 +61,7 @@ def concentric_pairs(
     elif connect == "mst":
         if rotations is not None:
             rotations = check_rotations(rotations, n)
-        parts.append((spanning_tree(centers, rotations), CONNECTION))
+        parts.append((spanning_tree(centers, rotations, threads=threads), CONNECTION))
     elif connect is not None:
         raise ValueError(f"connect: expected 'sequence', 'mst' or None, got {connect!r}")
     pairs, kinds = merge_pairs(parts, n)

@@ -5,7 +5,8 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components, minimum_spanning_tree
 from scipy.spatial import cKDTree
 
-from graphgs.scene.neighbours import median_spacing, nearest
+from graphgs.scene.neighbours import nearest, spacing_of
+from graphgs.structure.pair_set import merge_pairs
 
 _NEIGHBOURS = 16  # the tree is searched among these links of each camera first
 
@@ -19,6 +20,8 @@ def sequence_pairs(n: int) -> np.ndarray:
 def spanning_tree(
     centers: np.ndarray,  # [N, 3]
     rotations: np.ndarray | None = None,  # [N, 3, 3] camera-from-world
+    *,
+    threads: int = 1,
 ) -> np.ndarray:
     """[N - 1, 2] int: a tree over all cameras with small total cost, where a link costs its length in median spacings
     plus 1 - cos of the angle between the viewing directions (how far apart the views are; 0 without rotations).
@@ -28,10 +31,10 @@ def spanning_tree(
     n = len(centers)
     if n < 2:
         return np.zeros((0, 2), np.int64)
-    near = nearest(centers, _NEIGHBOURS)[0]
+    near, distances = nearest(centers, _NEIGHBOURS, threads=threads)
     links = np.stack([np.repeat(np.arange(n), near.shape[1]), near.ravel()], axis=1)
-    links = np.unique(np.sort(links, axis=1), axis=0)
-    spacing = median_spacing(centers)
+    links = merge_pairs([(links, 0)], n)[0]
+    spacing = spacing_of(distances)
     tree = _forest(links, _cost(links, centers, rotations, spacing), n)
     while True:
         count, component = connected_components(_adjacency(tree, np.ones(len(tree)), n), directed=False)

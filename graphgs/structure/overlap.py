@@ -1,5 +1,7 @@
 """Do two cameras see the same? Judged by points one of them is likely to see that the other one would see too."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from graphgs.structure.coarse_views import CoarseViews
@@ -7,9 +9,10 @@ from graphgs.structure.uncertainty import PoseUncertainty
 
 NEAR_MARGIN = 0.5  # a camera may see things at this share of its near distance
 FAR_MARGIN = 1.2  # and at this multiple of its far distance; what lies further back is hidden or out of reach
-LEAST_SHARE = 0.02  # more than this share of a frustum must lie in the other camera's
-LEAST_SHARE_OF_POINTS = 0.09  # and of the points likely seen, which are surer than a frustum's volume
+FEWEST_IN_FRUSTUM = 3  # of 128 samples of a frustum that must lie in the other camera's: more than 2 %
+FEWEST_OF_POINTS = 6  # of 64 points likely seen: more than 9 %, as they are surer than a frustum's volume
 _FLATTEST = np.deg2rad(89.0)  # half an image cannot be wider
+_FIRST = 32  # samples that settle most pairs; the others are looked at where they do not
 _CHUNK = 256  # pairs judged at once: the arrays stay in the processor's cache
 
 
@@ -26,35 +29,77 @@ def share_views(
     The image is widened by one standard deviation of the direction from one camera into the other, both rotations and
     both positions added in quadrature, so a sure pose gets a narrow margin and a near point a wide one."""
     relative = PoseUncertainty(np.sqrt(2.0) * uncertainty.rotation, np.sqrt(2.0) * uncertainty.position)
-    reach = _reach(views)
+    cameras = _Cameras(rotations, centers, views, relative)
     keep = np.zeros(len(pairs), bool)
     for way in (pairs, pairs[:, ::-1]):
         todo = np.flatnonzero(~keep)
-        todo = todo[_within_reach(way[todo], rotations, centers, views, reach, relative)]
-        with_points = views.has_points[way[todo, 0]]
-        for group, least in ((todo[with_points], LEAST_SHARE_OF_POINTS), (todo[~with_points], LEAST_SHARE)):
+        todo = todo[cameras.near_enough(*way[todo].T)]
+        known = views.has_points(way[todo, 0])
+        for group, fewest in ((todo[known], FEWEST_OF_POINTS), (todo[~known], FEWEST_IN_FRUSTUM)):
             for start in range(0, len(group), _CHUNK):
                 part = group[start : start + _CHUNK]
-                keep[part] = _share(*way[part].T, rotations, centers, views, relative) > least
+                keep[part] = cameras.see_enough(*way[part].T, fewest)
     return keep
 
 
-def _share(
-    i: np.ndarray, j: np.ndarray, rotations: np.ndarray, centers: np.ndarray, views: CoarseViews, relative
-) -> np.ndarray:
-    """[C] share of the samples of camera i that camera j sees."""
-    turn = rotations[j] @ rotations[i].transpose(0, 2, 1)
-    move = np.einsum("pab,pb->pa", rotations[j], centers[i] - centers[j])
-    local = turn @ views.samples(i) + move[..., None]
-    z = local[:, 2]
-    ahead = z > 0
-    tangents = (local[:, :2] / np.where(ahead, z, np.inf)[:, None]).transpose(1, 0, 2)  # [2, C, S]
-    slope = views.slope[j].T[..., None]
-    distance = np.sqrt((local * local).sum(1)) if relative.position > 0 else None
-    inside = ahead & (np.abs(tangents) <= _widened(slope, relative, distance)).all(0)
-    inside &= z >= views.depth_range[j, :1] * NEAR_MARGIN - relative.position
-    inside &= z <= views.far_limits(j, tangents) * FAR_MARGIN + relative.position
-    return inside.mean(1)
+@dataclass(frozen=True)
+class _Cameras:
+    rotations: np.ndarray
+    centers: np.ndarray
+    views: CoarseViews
+    relative: PoseUncertainty  # of one camera as seen from another
+
+    def near_enough(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
+        """[C] bool: false where all that camera i sees lies behind camera j, or too far ahead of it: a quick look."""
+        reach = self.views.reach[i]
+        ahead = np.einsum("pa,pa->p", self.rotations[j, 2], self.centers[i] - self.centers[j])
+        far = self.views.farthest[j] * FAR_MARGIN + self.relative.position
+        return (ahead + reach > 0) & (ahead - reach <= far)
+
+    def see_enough(self, i: np.ndarray, j: np.ndarray, fewest: int) -> np.ndarray:
+        """[C] bool: camera j sees at least `fewest` of the samples of camera i."""
+        turn = self.rotations[j] @ self.rotations[i].transpose(0, 2, 1)
+        move = np.einsum("pab,pb->pa", self.rotations[j], self.centers[i] - self.centers[j])[..., None]
+        todo = np.flatnonzero(self._may_see(turn @ self.views.corners(i) + move, i, j))
+        count = np.zeros(len(i), np.int64)
+        for block in (slice(0, _FIRST), slice(_FIRST, None)):
+            samples = self.views.samples(i[todo], block)
+            count[todo] += self._sees(turn[todo] @ samples + move[todo], j[todo]).sum(1)
+            todo = todo[count[todo] < fewest]
+        return count >= fewest
+
+    def _sees(
+        self,
+        points: np.ndarray,  # [C, 3, S] in the frame of
+        j: np.ndarray,  # [C]
+    ) -> np.ndarray:
+        """[C, S] bool."""
+        views, relative = self.views, self.relative
+        x, y, z = points.transpose(1, 0, 2)
+        near = views.depth_range[j, :1] * NEAR_MARGIN - relative.position
+        inside = z >= np.maximum(near, np.finfo(float).tiny)
+        distance = np.sqrt((points * points).sum(1)) if relative.position > 0 else None
+        slope = _widened(views.slope[j].T[..., None], relative, distance)
+        inside &= (np.abs(x) <= slope[0] * z) & (np.abs(y) <= slope[1] * z)
+        inside &= z <= views.far_limits(j, points) * FAR_MARGIN + relative.position
+        return inside
+
+    def _may_see(
+        self,
+        corners: np.ndarray,  # [C, 3, 8] of the frustum of camera i, in the frame of camera j
+        i: np.ndarray,
+        j: np.ndarray,
+    ) -> np.ndarray:
+        """[C] bool: false where a side of what j sees has the whole frustum beyond it, as for most far pairs."""
+        views, relative = self.views, self.relative
+        x, y, z = corners.transpose(1, 0, 2)
+        nearest = np.linalg.norm(self.centers[i] - self.centers[j], axis=1) - views.reach[i]
+        slope = _widened(views.slope[j].T, relative, np.maximum(nearest, 0.0))[..., None]
+        far = views.farthest[j, None] * FAR_MARGIN + relative.position
+        beyond = (z <= 0).all(1) | (z > far).all(1)
+        for side, limit in ((x, slope[0] * z), (y, slope[1] * z)):
+            beyond |= (side > limit).all(1) | (side < -limit).all(1)
+        return ~beyond
 
 
 def _widened(
@@ -72,29 +117,3 @@ def _widened(
     turned = 1.0 - slope * tangent  # tan(a + b) = (tan a + tan b) / (1 - tan a tan b), below 90 degrees
     flattest = np.tan(_FLATTEST)
     return np.minimum((slope + tangent) / np.maximum(turned, 1.0 / flattest), flattest)
-
-
-def _reach(views: CoarseViews) -> np.ndarray:
-    """[N] distance to the farthest sample, or somewhat more."""
-    reach = views.depth_range[:, 1] * np.sqrt(1.0 + (views.slope**2).sum(1))
-    if views.has_points.any():
-        reach[views.has_points] = np.linalg.norm(views.seen, axis=2).max(1)
-    return reach
-
-
-def _within_reach(
-    pairs: np.ndarray, rotations: np.ndarray, centers: np.ndarray, views: CoarseViews, reach: np.ndarray, relative
-) -> np.ndarray:
-    """[P] bool: false where no sample of i can lie in j's image and depths, by the ball that holds all of them: most
-    far pairs go here, at a hundredth of the cost."""
-    i, j = pairs.T
-    far = views.depth_range[:, 1].copy()
-    if views.has_points.any():
-        far[views.has_points] = views.far.max(1)
-    far = far * FAR_MARGIN + relative.position
-    offset = centers[i] - centers[j]
-    ahead = np.einsum("pa,pa->p", rotations[j, 2], offset)
-    within = (ahead - reach[i] <= far[j]) & (ahead + reach[i] > 0)
-    nearest = np.linalg.norm(offset, axis=1) - reach[i]  # of a sample from camera j
-    slope = _widened(views.slope[j], relative, np.maximum(nearest, 0.0)[:, None])
-    return within & (nearest <= far[j] * np.sqrt(1.0 + (slope**2).sum(1)))

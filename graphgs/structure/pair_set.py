@@ -11,18 +11,17 @@ def merge_pairs(
     n: int,  # cameras
 ) -> tuple[np.ndarray, np.ndarray]:
     """One set from several: (pairs [P, 2] int64, kinds [P] uint8). Self-pairs go, kinds of duplicates are united."""
-    codes, kinds = [], []
+    codes = [np.zeros(0, np.int64)]
     for pairs, kind in parts:
         low, high = pairs.min(1, initial=n), pairs.max(1, initial=-1)
-        apart = low < high
-        codes.append((low.astype(np.int64) * n + high)[apart])
-        kinds.append(np.broadcast_to(np.asarray(kind, np.uint8), len(pairs))[apart])
-    code = np.concatenate(codes) if codes else np.zeros(0, np.int64)
+        # The pair and its kind in one number: sorting numbers is many times faster than sorting rows.
+        code = ((low.astype(np.int64) * n + high) << 8) | np.asarray(kind, np.uint8)
+        codes.append(code[low < high])
+    code = np.concatenate(codes)
     if not len(code):
         return np.zeros((0, 2), np.int64), np.zeros(0, np.uint8)
-    kind = np.concatenate(kinds)
-    order = np.argsort(code, kind="stable")
-    code, kind = code[order], kind[order]
+    code.sort()
+    kind, code = (code & 0xFF).astype(np.uint8), code >> 8
     first = np.flatnonzero(np.r_[True, code[1:] != code[:-1]])
     code = code[first]
     return np.stack([code // n, code % n], axis=1), np.bitwise_or.reduceat(kind, first)

@@ -15,7 +15,6 @@ from graphgs.structure.pair_set import (
     CONNECTION,
     EXTRA,
     NEIGHBOUR,
-    RING,
     all_pairs,
     check_centers,
     check_pairs,
@@ -23,6 +22,7 @@ from graphgs.structure.pair_set import (
     merge_pairs,
 )
 from graphgs.structure.pairing_config import PairingConfig
+from graphgs.structure.selectors import sequential_parts
 from graphgs.structure.uncertainty import PoseUncertainty
 
 
@@ -85,7 +85,7 @@ def make_pairs(
     elif config.pairs == "graphgs" and n <= config.exhaustive_limit:
         parts = [(all_pairs(n), 0)]
     elif config.pairs == "sequential":
-        parts, connect = _sequential_parts(n, config.r), "sequence"
+        parts, connect = sequential_parts(n, config.r), "sequence"
     else:
         paper = config.pairs == "paper"
         rings = "paper" if paper or n <= config.ring_limit else "geometric"
@@ -115,17 +115,6 @@ def make_pairs(
     share = f" ({100 * len(pairs) / exhaustive:.0f} %)" if exhaustive else ""
     reporter.info(f"pairs: {len(pairs)} of {exhaustive}{share}, {dropped} dropped by the {used_filter} filter")
     return Pairs(everyone, pairs, kinds, dropped, exhaustive, rings, used_filter, connect)
-
-
-def _sequential_parts(n: int, window: int) -> list[tuple[np.ndarray, int]]:
-    """Each camera with the next `window`, and with those at the powers of two beyond."""
-    steps = {1: CONNECTION} | {step: NEIGHBOUR for step in range(2, window + 1)}
-    step = 2
-    while step < n:
-        steps.setdefault(step, RING)
-        step *= 2
-    index = np.arange(n, dtype=np.int64)
-    return [(np.stack([index[:-step], index[step:]], axis=1), kind) for step, kind in steps.items() if step < n]
 
 
 def _rescued(pairs: np.ndarray, keep: np.ndarray, centers: np.ndarray, least: int) -> np.ndarray:
