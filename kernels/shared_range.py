@@ -1,8 +1,8 @@
 """One CPU launch drawn by several threads, without Python between its chunks.
 
-Python costs more than the kernels here: a thread that needs the interpreter between two chunks waits for another to let
-go of it, 0.1 ms at a time. So the arguments are packed once, and each thread makes a single call into a native loop that
-draws chunks by an atomic counter until none is left.
+Python costs more than the kernels here: a thread that needs the interpreter between two chunks waits for another to
+let go of it, 0.1 ms at a time. So the arguments are packed once, and each thread makes a single call into a native loop
+that draws chunks by an atomic counter until none is left.
 """
 
 import ctypes
