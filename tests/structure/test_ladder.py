@@ -11,10 +11,12 @@ from graphgs.scene.reconstruction import Reconstruction
 from graphgs.sources.photos import Photo, Photos
 from graphgs.structure.cameras import shared_cameras
 from graphgs.structure.config import StructureConfig
+from graphgs.structure.contradictions import PairSupport
 from graphgs.structure.ladder import climb
 from graphgs.structure.matching import Matches
 from graphgs.structure.model_calls import ModelCalls
 from graphgs.structure.prior import Prior, poses_by_name
+from graphgs.structure.soundness import Soundness, Witness
 
 N = 24
 
@@ -62,6 +64,20 @@ class ColmapStandIn:
             kinds = {"right": {}, "wrong": {"wrong": 6.0}, "wrong_too": {"wrong": -6.0}, "fewer": {"count": N // 3}}
             poses(self.photos, **kinds[answer]).save(arguments["out"])
         return {}
+
+
+class NoDoubts:
+    """Stands for the verified matches as witnesses: they contradict no model."""
+
+    def judge(self, model):
+        none = np.zeros(0, np.int64)
+        sound = Soundness(0.0, 0.0, None, 0, 0.0, False, 100, ())
+        return sound, PairSupport(none.reshape(0, 2), none, none, none)
+
+
+@pytest.fixture(autouse=True)
+def _without_doubts(monkeypatch):
+    monkeypatch.setattr(Witness, "of", lambda *_, **__: NoDoubts())
 
 
 def climbed(tmp_path, answers, *, config=None, focal_px=None):
