@@ -1,4 +1,4 @@
-"""The command line: graphgs run | check | pose | train | eval | render | synth. Flags come from dataclasses."""
+"""The command line: graphgs run | check | pose | explain | train | eval | render | synth. Flags are dataclasses."""
 
 import dataclasses
 import errno
@@ -101,6 +101,31 @@ def check(input: Input, options: OmitArgPrefixes[Options] = Options()) -> None: 
     from graphgs import commands
 
     for line in commands.check(input, options):
+        print(printable(line))
+
+
+@app.command
+def explain(scene: Scene, image: Annotated[Positional[str], arg(metavar="IMAGE")] = "", json: bool = False) -> None:
+    """Say how a scene hangs together, or all about one photo, from what its run left.
+
+    Args:
+        scene: An output folder of `graphgs pose` or `graphgs run`.
+        image: A photo's name, or the end of one; without it, the whole scene: groups, photos left out, weak cameras.
+        json: One JSON event instead of text.
+    """
+    from graphgs import explain as answers
+
+    found = answers.read_artefacts(scene)
+    if image:
+        facts = answers.photo_facts(found, answers.find_photo(found, image))
+        kind, lines = "photo", answers.photo_lines(facts)
+    else:
+        facts = answers.scene_facts(found)
+        kind, lines = "scene", answers.scene_lines(facts)
+    if json:
+        RunReporter(as_json=True).event(kind, **facts)
+        return
+    for line in lines:
         print(printable(line))
 
 

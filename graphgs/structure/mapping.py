@@ -47,7 +47,10 @@ def map_fine(
     with ColmapWorker(scratch) as worker:
         calls = ModelCalls(config, photos, matches, prior, worker, scratch, reporter, threads, seed)
         if calls.witness.rotation.on_the_spot:
-            raise _on_the_spot(calls)
+            raise DataError(
+                calls.witness.rotation.describe(),
+                hint="take a step between photos, and some from the side, each overlapping the next by half or more",
+            )
         best = climb(calls, prior.reconstruction)
         if best is not None and photos.rigs and config.rig_refinement == "constrained":
             best = _mounted(best)
@@ -76,15 +79,6 @@ def map_fine(
         rigs,
         world,
         diagnosis,
-    )
-
-
-def _on_the_spot(calls: ModelCalls) -> DataError:
-    turned = 100 * calls.witness.rotation.share
-    return DataError(
-        f"the camera only turned on the spot, or did not move: {turned:.0f} % of {len(calls.matches.edges)} verified "
-        "pairs of photos need no more than that, so there is no depth in them",
-        hint="walk around what you photograph: a step between two photos, each overlapping the next by half or more",
     )
 
 

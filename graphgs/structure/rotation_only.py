@@ -9,7 +9,8 @@ import numpy as np
 from graphgs.structure.cameras import SharedCameras
 from graphgs.structure.evidence import VerifiedMatches
 
-_SCALES = np.geomspace(0.4, 4.0, 36)  # of the focal length believed so far
+_SCALES = np.geomspace(0.4, 4.0, 36)  # of the focal length, where it was guessed
+_SCALES_KNOWN = np.geomspace(0.7, 1.43, 13)  # where the photos tell it
 _CLOSE, _CLOSEST_PX = 0.002, 1.0  # of the longer side: a match that a turn explains; features are that precise
 _MOST_PAIRS, _MOST_MATCHES = 200, 200  # looked at, per pair
 _ROUNDS = 4  # of reweighting
@@ -23,14 +24,26 @@ class RotationFit:
 
     share: float  # of the pairs that a turn explains nearly all matches of
     focal_scale: float  # of the focal length believed so far
+    open: bool = False  # it does so at the longest focal length too, where a walk along a plane looks the same
 
     @property
     def on_the_spot(self) -> bool:
         return self.share >= _LARGEST_SHARE
 
+    def describe(self) -> str:
+        """What being on the spot means, for people."""
+        pairs = f"({100 * self.share:.0f} % of the pairs of photos need no more than that)"
+        if self.open:
+            return (
+                f"a turn on the spot would explain the photos {pairs}, and so would a walk along a plane, which leaves "
+                "the focal length open"
+            )
+        return f"the camera only turned on the spot, or did not move {pairs}, so there is no depth in the photos"
 
-def fit_rotations(verified: VerifiedMatches, cameras: SharedCameras) -> RotationFit:
+
+def fit_rotations(verified: VerifiedMatches, cameras: SharedCameras, *, focal_known: bool) -> RotationFit:
     """One rotation per pair and one factor for all focal lengths; lens distortion is left out."""
+    scales = _SCALES_KNOWN if focal_known else _SCALES
     chosen, starts = _sample(verified)
     if not len(chosen):
         return RotationFit(0.0, 1.0)
@@ -40,10 +53,11 @@ def fit_rotations(verified: VerifiedMatches, cameras: SharedCameras) -> Rotation
     )
     f_i, f_j = (intrinsics[cameras.camera_ids[verified.pairs[pair_of, side]]] for side in range(2))
     shares = np.array(
-        [_explained(verified.xy_i[chosen], verified.xy_j[chosen], f_i, f_j, scale, starts) for scale in _SCALES]
+        [_explained(verified.xy_i[chosen], verified.xy_j[chosen], f_i, f_j, scale, starts) for scale in scales]
     )
     best = int(shares.argmax())
-    return RotationFit(float(shares[best]), float(_SCALES[best]))
+    endless = not focal_known and shares[-1] >= _LARGEST_SHARE
+    return RotationFit(float(shares[best]), float(scales[best]), bool(endless))
 
 
 def _sample(verified: VerifiedMatches) -> tuple[np.ndarray, np.ndarray]:

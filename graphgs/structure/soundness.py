@@ -49,7 +49,8 @@ class Witness:
     @staticmethod
     def of(photos: Photos, database: Path, cameras: SharedCameras, *, min_inliers: int) -> "Witness":
         verified = read_verified(database)
-        return Witness(photos, verified, fit_rotations(verified, cameras), min_inliers)
+        told = all(photo.focal_px for photo in photos.photos)
+        return Witness(photos, verified, fit_rotations(verified, cameras, focal_known=told), min_inliers)
 
     def judge(self, model: Reconstruction) -> tuple[Soundness, PairSupport]:
         """The model by the matches it was made from."""
@@ -78,10 +79,7 @@ def _doubts(figures: dict, model: Reconstruction, photos: Photos, rotation: Rota
     if figures["points"] < _FEWEST_POINTS * len(model.names):
         yield f"there is hardly anything in it: {figures['points']} points for {len(model.names)} photos"
     if rotation.on_the_spot:
-        yield (
-            f"the camera only turned on the spot, or did not move ({100 * rotation.share:.0f} % of the pairs of photos "
-            "need no more than that), so there is no depth in the photos"
-        )
+        yield rotation.describe()
     if figures["strength"] >= _LARGEST_STRENGTH:
         first, second = figures["pair"]
         yield (
@@ -97,5 +95,5 @@ def _doubts(figures: dict, model: Reconstruction, photos: Photos, rotation: Rota
     if figures["flat"] and not told.issuperset(model.names):
         yield (
             "all is in one plane and seen from one direction, which leaves the focal length open; tell it with "
-            "--set sources.focal_px, or add photos from the side"
+            "--set sources.focal_px=PIXELS, or add photos from the side"
         )

@@ -29,14 +29,14 @@ def corner_scene(folder: Path, *, count: int = 8, seed: int = 0, prefix: str = "
         (np.array([-3.0, 1.5, 2.2]), np.array([6.0, 0, 0]), np.array([0, 0, 2.8])),
         (np.array([-3.0, -2.5, 2.2]), np.array([0, 0, 2.8]), np.array([0, 4.0, 0])),
     ]
-    textures = [_texture(rng) for _ in walls]
+    textures = [texture(rng) for _ in walls]
     K = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]])
     rotations, centers, photos = [], [], []
     (folder / "photos").mkdir(parents=True, exist_ok=True)
     for k in range(count):
         t = k / max(count - 1, 1) - 0.5
         center = np.array([1.6 * t, 0.25 * np.sin(5 * t), 0.6 * t * t])
-        rotation = _looking_at(center, np.array([-0.8 + 0.8 * t, 0.0, 4.2]))
+        rotation = looking_at(center, np.array([-0.8 + 0.8 * t, 0.0, 4.2]))
         center = center + shift * rotation[0]
         image = _render(walls, textures, K, rotation, center)
         name = f"photos/{k:06d}.png"
@@ -64,16 +64,16 @@ def photo(name: str, pixels: str, *, focal_px: float | None = None, mask: str | 
     )
 
 
-def _texture(rng: np.random.Generator) -> np.ndarray:
-    """[600, 900, 3] blobs of many sizes."""
-    total = np.zeros((600, 900, 3), np.float32)
+def texture(rng: np.random.Generator, rows: int = 600, columns: int = 900) -> np.ndarray:
+    """[rows, columns, 3] blobs of many sizes."""
+    total = np.zeros((rows, columns, 3), np.float32)
     for cells in (12, 30, 75, 150):
-        noise = rng.standard_normal((cells * 2 // 3, cells, 3)).astype(np.float32)
-        total += cv2.resize(noise, (900, 600), interpolation=cv2.INTER_CUBIC)
+        noise = rng.standard_normal((cells * rows // columns, cells, 3)).astype(np.float32)
+        total += cv2.resize(noise, (columns, rows), interpolation=cv2.INTER_CUBIC)
     return np.clip(128 + 32 * total, 0, 255).astype(np.uint8)
 
 
-def _looking_at(center: np.ndarray, target: np.ndarray) -> np.ndarray:
+def looking_at(center: np.ndarray, target: np.ndarray) -> np.ndarray:
     forward = (target - center) / np.linalg.norm(target - center)
     right = np.cross(np.array([0.0, 1.0, 0.0]), forward)
     right /= np.linalg.norm(right)
