@@ -52,7 +52,7 @@ class Config:
 
 # preview: minutes on a laptop's CPU; standard: an evening on a CPU, minutes on a card; best: 3DGS's own length.
 PRESETS: dict[Preset, dict[str, dict[str, Any]]] = {
-    "preview": {"structure": {"max_side": 640}, "training": {"steps": 2_000, "max_splats": 30_000}},
+    "preview": {"structure": {"max_side": 640}, "training": {"steps": 2_000, "max_splats": 20_000}},
     "standard": {"structure": {"max_side": 1200}, "training": {"steps": 10_000, "max_splats": 1_000_000}},
     "best": {
         "structure": {"max_side": 1600, "fine_features": 8192},
