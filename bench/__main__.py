@@ -43,6 +43,8 @@ WORKLOADS = {
     "gpu-static": Workload(
         "gpu_static", "what the compiler says about the GPU's kernels; needs no GPU", same_everywhere=True
     ),
+    "pairing": Workload("pairing", "choosing pairs for 600 to 100,000 cameras, and how well the gate tells"),
+    "pairing-1m": Workload("pairing_million", "choosing pairs for a million cameras", on_request=True),
 }
 
 

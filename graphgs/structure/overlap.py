@@ -13,7 +13,7 @@ FEWEST_IN_FRUSTUM = 3  # of 128 samples of a frustum that must lie in the other 
 FEWEST_OF_POINTS = 6  # of 64 points likely seen: more than 9 %, as they are surer than a frustum's volume
 _FLATTEST = np.deg2rad(89.0)  # half an image cannot be wider
 _FIRST = 32  # samples that settle most pairs; the others are looked at where they do not
-_CHUNK = 256  # pairs judged at once: the arrays stay in the processor's cache
+_CHUNK = 1024  # pairs judged at once: the arrays stay near the processor
 
 
 def share_views(

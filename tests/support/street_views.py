@@ -59,14 +59,17 @@ class StreetViews:
         return seen
 
     def shared(self, pairs: np.ndarray) -> np.ndarray:
-        """[P] share of what one camera of a pair sees that the other one sees too, the larger of both ways."""
-        share = np.zeros(len(pairs))
-        for first, second in ((0, 1), (1, 0)):
-            order = np.argsort(pairs[:, second], kind="stable")
-            for k in order:
-                i, j = pairs[k, first], pairs[k, second]
-                own = self.samples[i][np.isfinite(self.samples[i, :, 0])]
-                share[k] = max(share[k], float(self.sees(j, own).mean()) if len(own) else 0.0)
+        """[P, 2] share of what each camera of a pair sees that the other one sees too."""
+        share = np.zeros(pairs.shape)
+        for way, (i, j) in enumerate((pairs.T, pairs[:, ::-1].T)):
+            order = np.argsort(j, kind="stable")
+            cameras, start = np.unique(j[order], return_index=True)
+            for camera, rows in zip(cameras, np.split(order, start[1:]), strict=True):
+                samples = self.samples[i[rows]]
+                surface = np.isfinite(samples[..., 0])
+                seen = np.zeros(surface.shape, bool)
+                seen[surface] = self.sees(camera, samples[surface])
+                share[rows, way] = seen.sum(1) / np.maximum(surface.sum(1), 1)
         return share
 
     def coarse_points(self, *, per_camera: int = 24, depth_noise: float = 0.01) -> CoarsePoints:
