@@ -24,7 +24,7 @@ def thickness(
         normal = np.linalg.svd(kept - middle, full_matrices=False)[2][2]
         away = np.abs((points - middle) @ normal)
         kept = points[away <= np.quantile(away, _KEPT)]
-    spread = np.median(np.linalg.norm(kept - np.median(kept, axis=0), axis=1))
+    spread = np.median(np.linalg.norm(kept - kept.mean(0), axis=1))
     return float(np.quantile(away, _KEPT) / spread) if spread > 0 else 0.0
 
 
