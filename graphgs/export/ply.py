@@ -1,5 +1,6 @@
-"""splat.ply: the 62-float layout that every 3D Gaussian viewer reads."""
+"""splat.ply: the 62-float layout that every 3D Gaussian viewer reads, and a comment `near` that ours does, too."""
 
+import math
 import os
 from pathlib import Path
 
@@ -7,7 +8,7 @@ import numpy as np
 import torch
 
 from graphgs.errors import DataError, DiskError
-from graphgs.rendering.splats import Splats
+from graphgs.rendering.splats import NEAR, Splats
 
 PROPERTIES = (
     *("x", "y", "z", "nx", "ny", "nz"),
@@ -36,7 +37,12 @@ def write_ply(splats: Splats, path: Path) -> None:
     rows = torch.cat([column.detach().cpu().float() for column in columns], dim=1).numpy().astype("<f4")
     if not np.isfinite(rows).all():
         raise DataError(f"{path.name}: the scene holds values that are not finite, so it was not written")
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(splats)}"]
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"comment near {splats.near!r}",
+        f"element vertex {len(splats)}",
+    ]
     header += [f"property float {name}" for name in PROPERTIES] + ["end_header", ""]
     partial = path.with_name(path.name + ".partial")
     try:
@@ -61,7 +67,7 @@ def read_ply(path: Path) -> Splats:
         size = path.stat().st_size
         with open(path, "rb") as file:
             head = file.read(min(size, MAX_HEADER_BYTES))
-            count, names, begin = _parse_header(head, path)
+            count, names, near, begin = _parse_header(head, path)
             if size != begin + 4 * len(names) * count:
                 raise DataError(
                     f"{path}: the header promises {count} Gaussians of {len(names)} floats, the file holds "
@@ -74,16 +80,16 @@ def read_ply(path: Path) -> Splats:
         raise DataError(f"{path}: {error.strerror or error}") from error
     if not np.isfinite(rows).all():
         raise DataError(f"{path}: holds values that are not finite")
-    return _to_splats(rows, {name: k for k, name in enumerate(names)}, path)
+    return _to_splats(rows, {name: k for k, name in enumerate(names)}, near, path)
 
 
-def _parse_header(head: bytes, path: Path) -> tuple[int, list[str], int]:
-    """(number of Gaussians, property names, offset of the first row)."""
+def _parse_header(head: bytes, path: Path) -> tuple[int, list[str], float, int]:
+    """(number of Gaussians, property names, near plane, offset of the first row)."""
     end = head.find(b"end_header\n")
     if not head.startswith(b"ply\n") or end < 0:
         raise DataError(f"{path}: not a ply file with a readable header")
     lines = head[:end].decode("ascii", errors="replace").splitlines()[1:]
-    count, names = None, []
+    count, names, near = None, [], NEAR
     for words in (line.split() for line in lines):
         match words:
             case ["format", kind, "1.0"]:
@@ -93,16 +99,25 @@ def _parse_header(head: bytes, path: Path) -> tuple[int, list[str], int]:
                 count = int(number)
             case ["property", "float" | "float32", name] if count is not None:
                 names.append(name)
+            case ["comment", "near", number] if _is_positive(number):
+                near = float(number)
             case ["comment" | "obj_info", *_] | []:
                 pass
             case _:
                 raise DataError(f"{path}: unexpected header line {' '.join(words)[:80]!r}")
     if count is None:
         raise DataError(f"{path}: no vertex element")
-    return count, names, end + len(b"end_header\n")
+    return count, names, near, end + len(b"end_header\n")
 
 
-def _to_splats(rows: np.ndarray, column: dict[str, int], path: Path) -> Splats:
+def _is_positive(number: str) -> bool:
+    try:
+        return 0.0 < float(number) < math.inf
+    except ValueError:
+        return False
+
+
+def _to_splats(rows: np.ndarray, column: dict[str, int], near: float, path: Path) -> Splats:
     rest = sum(name.startswith("f_rest_") for name in column)
     degrees = {0: 0, 9: 1, 24: 2, 45: 3}
     needed = [name for name in PROPERTIES if not name.startswith(("n", "f_rest_"))]
@@ -129,4 +144,5 @@ def _to_splats(rows: np.ndarray, column: dict[str, int], path: Path) -> Splats:
         logit_opacities=take("opacity")[:, 0].clone(),
         sh_coeffs=sh_coeffs,
         sh_degree=degrees[rest],
+        near=near,
     )

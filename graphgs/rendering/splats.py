@@ -1,6 +1,7 @@
 """The scene: 3D Gaussians before their activations."""
 
 import json
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from graphgs.errors import DataError
 from graphgs.points import PrunedPoints
 from graphgs.rendering.rasterize import RenderOutput, rasterize
 
+NEAR = 0.01  # camera z, world units: the near plane of scenes that name none
 SH_C0 = 0.28209479177387814  # the constant spherical harmonic, 1 / (2 sqrt(pi))
 TENSORS = ("means", "quats", "log_scales", "logit_opacities", "sh_coeffs")
 
@@ -27,6 +29,7 @@ class Splats:
     logit_opacities: Tensor  # [N] before the sigmoid
     sh_coeffs: Tensor  # [N, 16, 3]; colour = SH + 0.5, clamped at 0
     sh_degree: int = 3
+    near: float = NEAR  # camera z below which the scene holds no surface and nothing is drawn, world units
 
     def __post_init__(self):
         n = self.means.shape[0]
@@ -41,6 +44,8 @@ class Splats:
                 raise ValueError(f"{name}: expected {list(shape)}, got {list(getattr(self, name).shape)}")
         if not 0 <= self.sh_degree <= 3:
             raise ValueError(f"sh_degree: expected 0 to 3, got {self.sh_degree}")
+        if not 0.0 < self.near < math.inf:
+            raise ValueError(f"near: expected a positive number, got {self.near}")
 
     def __len__(self) -> int:
         return self.means.shape[0]
@@ -69,13 +74,14 @@ class Splats:
         """Write splats.safetensors and splats.json."""
         folder.mkdir(parents=True, exist_ok=True)
         save_file({n: getattr(self, n).detach().cpu().contiguous() for n in TENSORS}, folder / "splats.safetensors")
-        header = {"count": len(self), "sh_degree": self.sh_degree}
+        header = {"count": len(self), "sh_degree": self.sh_degree, "near": self.near}
         (folder / "splats.json").write_text(json.dumps(header, indent=1))
 
     @staticmethod
     def load(folder: Path) -> "Splats":
         header = json.loads((folder / "splats.json").read_text())
-        return Splats(**load_file(folder / "splats.safetensors"), sh_degree=int(header["sh_degree"]))
+        tensors = load_file(folder / "splats.safetensors")
+        return Splats(**tensors, sh_degree=int(header["sh_degree"]), near=float(header["near"]))
 
     @staticmethod
     def from_points(
@@ -131,5 +137,6 @@ def render(
         width,
         height,
         sh_degree=splats.sh_degree if sh_degree is None else sh_degree,
+        near=splats.near,
         antialiased=antialiased,
     )

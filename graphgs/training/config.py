@@ -19,6 +19,14 @@ class TrainConfig:
     sampling: Literal["graphgs", "paper", "uniform"] = "graphgs"
     """How views are drawn: in proportion to importance, by skipping (the printed form), or evenly."""
 
+    # Speed of learning
+    warm_up_fraction: float = 0.0
+    """Share of the run on reduced photos: the first half of it at a quarter of the size, then at half."""
+    plateau_steps: int = 0
+    """Stop when the mean loss of so many steps is hardly below that of as many before; 0 = never."""
+    plateau_gain: float = 0.01
+    """What "hardly" means, as a share of the loss."""
+
     # Learning rates, per step of Adam
     means_rate: float = 1.6e-4
     """Centres, in units of the scene extent, at the first step."""
@@ -46,6 +54,14 @@ class TrainConfig:
     """Ours: 3DGS reaches degree 3 at a tenth of 30k steps; a short run gets there at 0.3 of its own length."""
     initial_opacity: float = 0.1
     """Opacity of an initial Gaussian."""
+
+    # Where nothing can be seen (docs/decisions/0025-floaters.md)
+    near_fraction: float = 0.2
+    """Ours: near plane of every render, in depths at which the closest views begin (by the sparse points)."""
+    prune_near: bool = False
+    """Remove Gaussians nearer to a training camera than `near_fraction` of the depth at which its own view begins."""
+    prune_unconfirmed: bool = False
+    """Remove Gaussians that one view sees alone where its neighbours in the camera graph should see them, too."""
 
     # Number of Gaussians
     strategy: Literal["adaptive", "mcmc"] = "adaptive"

@@ -86,6 +86,10 @@ class Parameters:
             for moments in (self.moments1, self.moments2):
                 moments[name] = torch.cat([moments[name][kept], torch.zeros_like(new)])
 
+    def keep(self, kept: Tensor) -> None:
+        """Rows `kept` [M] int64 alone, with their moments."""
+        self.rebuild(kept, {name: value.detach()[:0] for name, value in self.values.items()})
+
     @torch.no_grad()
     def overwrite(
         self,

@@ -24,6 +24,8 @@ from graphgs.threads import get_num_threads, set_num_threads
 from graphgs.training.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from graphgs.training.config import TrainConfig
 from graphgs.training.extent import scene_extent
+from graphgs.training.near import near_depths
+from graphgs.training.plateau import has_settled
 from graphgs.training.stats import TrainStats
 from graphgs.training.trained import Trained
 from graphgs.training.trainer import Trainer
@@ -31,7 +33,7 @@ from graphgs.training.trainer import Trainer
 READ_INTERVAL = 10  # steps between two looks at the losses (on a GPU each look waits for it)
 CHECK_INTERVAL = 100  # steps between two looks at all values
 RECOVERY_INTERVAL = 500  # steps between two states to roll back to: by steps, so that a roll-back is repeatable
-VERSION = 1  # of the checkpoint's meaning; raise it when a step changes
+VERSION = 2  # of the checkpoint's meaning; raise it when a step changes
 RUNNING = ("image_cache_bytes", "checkpoint_s")  # settings without influence on the result
 
 
@@ -59,7 +61,8 @@ def train(
     with _threads(threads), _deferred_interrupt() as interrupted:
         initial = _initial(config, points, device=device, reporter=reporter)
         extent = scene_extent(views.centers[~views.is_test], points.positions)
-        trainer = Trainer(config, views, graph, initial, extent=extent, device=device, seed=seed)
+        depths = near_depths(views, points.positions)
+        trainer = Trainer(config, views, graph, initial, extent=extent, near_depths=depths, device=device, seed=seed)
         try:
             run = _Run(trainer, scratch, _fingerprint(config, views, graph, initial, device, seed), reporter)
             run.advance(config.steps if stop_at is None else min(stop_at, config.steps), interrupted)
@@ -89,7 +92,7 @@ class _Run:
         """Execute steps up to `end`; a state that is not finite is never saved."""
         trainer = self._trainer
         try:
-            while trainer.done < end:
+            while trainer.done < end and not self._has_settled():
                 self._unread.append(trainer.step())
                 self._after_step(end)
                 if interrupted.is_set():
@@ -100,6 +103,12 @@ class _Run:
             raise
         if self._saved_step != trainer.done:
             self._save("latest")
+
+    def _has_settled(self) -> bool:
+        settled = has_settled(self._trainer.config, self._trainer.schedule, self.stats.curve)
+        if settled:
+            self._reporter.event("settled", step=self._trainer.done)
+        return settled
 
     def _after_step(self, end: int) -> None:
         trainer, done = self._trainer, self._trainer.done

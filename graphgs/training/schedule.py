@@ -3,6 +3,7 @@
 from graphgs.training.config import TrainConfig
 
 LEAST_INTERVAL = 10  # steps between two rounds: the gradients of fewer views say little
+FLOATER_CHECKS = (0.3, 0.5, 0.7)  # of the run: what they leave has time to take over
 REFERENCE_STEPS = 30_000  # the length that 3DGS's rates are tuned for
 
 
@@ -20,6 +21,8 @@ class Schedule:
         self.densify_until = round(config.densify_until_fraction * steps)
         self._relocate_until = round(config.mcmc_until_fraction * steps)
         self.consistency_from = round(config.consistency_from_fraction * steps)
+        self._warm_up_until = round(config.warm_up_fraction * steps)
+        self._floater_checks = {round(share * steps) for share in FLOATER_CHECKS}
 
     def rates(self, step: int, *, extent: float) -> dict[str, float]:
         """Learning rate of every group of parameters; `extent` is the scene's, in world units.
@@ -42,6 +45,26 @@ class Schedule:
     def sh_degree(self, step: int) -> int:
         """Active degree of the spherical harmonics."""
         return min(self._config.sh_degree, step // self._sh_interval)
+
+    def reduction(self, step: int) -> int:
+        """How many times smaller the photo of this step is: 4, 2, and 1 once the warm-up is over."""
+        if step >= self._warm_up_until:
+            return 1
+        return 4 if step < self._warm_up_until // 2 else 2
+
+    def removes_floaters_after(self, step: int) -> bool:
+        return step + 1 in self._floater_checks
+
+    @property
+    def settled_from(self) -> int:
+        """First step from which nothing but the rates changes: losses before and after it do not compare."""
+        rounds = self._relocate_until if self._config.strategy == "mcmc" else self.densify_until
+        parts = [self._warm_up_until, rounds, self._config.sh_degree * self._sh_interval]
+        if self._config.consistency != "none" and self._config.lambda_consistency > 0.0:
+            parts.append(self.consistency_from)
+        if self._config.prune_near or self._config.prune_unconfirmed:
+            parts.append(max(self._floater_checks))
+        return max(parts)
 
     def gathers_gradients(self, step: int) -> bool:
         """Whether the step counts towards the next densification round."""
@@ -79,5 +102,6 @@ class Schedule:
             config.consistency != "none"
             and config.lambda_consistency > 0.0
             and step >= self.consistency_from
+            and self.reduction(step) == 1
             and step % config.consistency_interval == 0
         )

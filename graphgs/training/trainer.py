@@ -1,5 +1,7 @@
 """One run's state, and its single step."""
 
+import dataclasses
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -13,12 +15,15 @@ from graphgs.scene.views import Views
 from graphgs.training.config import TrainConfig
 from graphgs.training.consistency import ConsistencyTerm
 from graphgs.training.exposure import Exposure
+from graphgs.training.floaters import FloaterFinder
 from graphgs.training.images import TrainingImages
+from graphgs.training.near import scene_near
 from graphgs.training.parameters import Parameters
 from graphgs.training.pose_refinement import PoseRefinement
 from graphgs.training.regularisation import Regularisation
 from graphgs.training.schedule import Schedule
 from graphgs.training.strategy import Strategy, make_strategy
+from graphgs.training.warm_up import reduce_camera, reduce_photo, reduction_of
 
 RECOVERY_RATE = 0.5  # learning rates after a roll-back
 
@@ -35,10 +40,11 @@ class Trainer:
         initial: Splats,
         *,
         extent: float,  # scene extent, world units
+        near_depths: np.ndarray | None = None,  # [N] camera z at which each training view begins; None: not known
         device: str,
         seed: int,
     ):
-        self.config, self.views, self.device = config, views, device
+        self.config, self.views, self.graph, self.device = config, views, graph, device
         self.schedule = Schedule(config)
         self.done = 0  # executed steps
         self.recoveries = 0
@@ -48,6 +54,8 @@ class Trainer:
             config, self.schedule, extent=extent, seed=seed, count=len(initial), device=device
         )
         self._extent = extent
+        self._near_depths = np.full(len(views.names), np.nan) if near_depths is None else near_depths
+        self._near = scene_near(self._near_depths, config.near_fraction)
         self._regularisation = Regularisation(config, extent=extent)
         self._Ks = torch.as_tensor(views.Ks, dtype=torch.float32, device=device)
         self._viewmats = torch.as_tensor(views.viewmats, dtype=torch.float32, device=device)
@@ -86,6 +94,8 @@ class Trainer:
         for fit in self._fits.values():
             fit.step(self.view_of_step(step), step, self._caution)
         self.strategy.after_step(step, self.parameters)
+        if self.schedule.removes_floaters_after(step):
+            self._remove_floaters(step)
         self.done += 1
         self.between_steps = True
         return loss
@@ -93,9 +103,12 @@ class Trainer:
     def _gradients(self, step: int) -> tuple[Tensor, RenderOutput]:
         """Render, compare, differentiate: the loss, detached, and the render it came from."""
         view, photo, mask = self._images.of_step(step)
+        factor = reduction_of(*(int(side) for side in self.views.sizes[view]), self.schedule.reduction(step))
+        photo, mask = reduce_photo(photo, mask, factor)
         degree = self.schedule.sh_degree(step)
         gaussians, absgrad = self._gaussians(), self.strategy.wants_absgrad(step)
-        out = self._render(view, gaussians, degree, self._viewmat(view, fitted_in=step), absgrad=absgrad)
+        viewmat = self._viewmat(view, fitted_in=step)
+        out = self._render(view, gaussians, degree, viewmat, factor=factor, absgrad=absgrad)
         colors = out.colors if self._exposure is None else self._exposure.apply(view, out.colors)
         loss = photometric_loss(colors, photo, mask, ssim_weight=self.config.ssim_weight)
         if self._exposure is not None:
@@ -121,7 +134,7 @@ class Trainer:
 
     def splats(self) -> Splats:
         """The Gaussians as they are, detached."""
-        return self.parameters.splats(self.config.sh_degree)
+        return dataclasses.replace(self.parameters.splats(self.config.sh_degree), near=self._near)
 
     @property
     def viewmats(self) -> np.ndarray:
@@ -177,22 +190,47 @@ class Trainer:
         self,
         view: int,
         gaussians: tuple[Tensor, ...] | list[Tensor],
-        degree: int,
+        degree: int | None,  # None: the Gaussians have colours
         viewmat: Tensor,  # [1, 4, 4]
         *,
+        factor: int = 1,  # of reduction
         absgrad: bool = False,
+        median_depth: bool = False,
     ) -> RenderOutput:
-        width, height = (int(side) for side in self.views.sizes[view])
+        sides = (int(side) for side in self.views.sizes[view])
         return rasterize(
             *gaussians,
             viewmat,
-            self._Ks[view : view + 1],
-            width,
-            height,
+            *reduce_camera(self._Ks[view : view + 1], *sides, factor),
             sh_degree=degree,
+            near=self._near,
+            median_depth=median_depth,
             absgrad=absgrad,
             validate=False,  # the run looks at the losses, and rolls back
         )
+
+    @torch.no_grad()
+    def _remove_floaters(self, step: int) -> None:
+        config, parameters = self.config, self.parameters
+        if not (config.prune_near or config.prune_unconfirmed):
+            return
+        views = dataclasses.replace(self.views, viewmats=self.viewmats)
+        finder = FloaterFinder(views, self.graph, config.near_fraction * self._near_depths)
+        means, *rest = (tensor.detach() for tensor in self._gaussians()[:4])
+        floaters = torch.zeros(len(parameters), dtype=torch.bool, device=self.device)
+        if config.prune_near:
+            floaters |= finder.too_near(means)
+        if config.prune_unconfirmed:
+            floaters |= finder.unconfirmed(
+                means,
+                lambda view, colors: self._render(
+                    view, (means, *rest, colors), None, self._viewmat(view), median_depth=True
+                ),
+            )
+        kept = torch.nonzero(~floaters)[:, 0]
+        if 0 < len(kept) < len(floaters):
+            parameters.keep(kept)
+            self.strategy.keep_rows(kept)
 
     def _viewmat(self, view: int, *, fitted_in: int | None = None) -> Tensor:
         """[1, 4, 4] as it is now; with a gradient to the pose, if the step fits one."""

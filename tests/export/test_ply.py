@@ -1,5 +1,7 @@
 """splat.ply: the layout as plyfile sees it, and what a bad file meets."""
 
+import dataclasses
+
 import numpy as np
 import plyfile
 import pytest
@@ -7,7 +9,7 @@ import torch
 
 from graphgs.errors import DataError
 from graphgs.export.ply import PROPERTIES, read_ply, write_ply
-from graphgs.rendering.splats import TENSORS, Splats
+from graphgs.rendering.splats import NEAR, TENSORS, Splats
 
 
 @pytest.fixture
@@ -49,6 +51,19 @@ def test_reading_gives_the_same_bits_back(splats, tmp_path):
     loaded = read_ply(tmp_path / "splat.ply")
     assert all(torch.equal(getattr(loaded, name), getattr(splats, name)) for name in TENSORS)
     assert not list(tmp_path.glob("*.partial"))
+
+
+def test_the_near_plane_comes_back(splats, tmp_path):
+    write_ply(dataclasses.replace(splats, near=0.1234567), tmp_path / "splat.ply")
+    assert read_ply(tmp_path / "splat.ply").near == 0.1234567
+
+
+@pytest.mark.parametrize("comment", ["near", "near 0", "near nan", "near -1", "near by", "near 1 2"])
+def test_a_comment_that_is_no_near_plane_is_a_comment(splats, tmp_path, comment):
+    write_ply(dataclasses.replace(splats, near=0.5), tmp_path / "splat.ply")
+    data = (tmp_path / "splat.ply").read_bytes().replace(b"near 0.5", comment.encode())
+    (tmp_path / "splat.ply").write_bytes(data)
+    assert read_ply(tmp_path / "splat.ply").near == NEAR
 
 
 def test_harmonics_above_the_degree_are_zero_in_the_file(splats, tmp_path):
