@@ -21,6 +21,7 @@ from graphgs.evaluation.report import (
     HeldOutView,
     OutputFile,
     PairFigures,
+    PhotoGroup,
     ReportData,
     StructureFigures,
     TrainingCurve,
@@ -32,6 +33,9 @@ from graphgs.export.ply import write_ply
 from graphgs.memory import peak_rss_bytes
 from graphgs.pipeline import Posed, Run, Trained, partial_error
 from graphgs.structure.pair_set import KIND_NAMES
+from graphgs.structure.result import Structure
+from graphgs.structure.rotation_only import LARGEST_TURNING_SHARE
+from graphgs.structure.soundness import LARGEST_SHARE, LARGEST_STRENGTH
 from graphgs.structure.world import plain
 from graphgs.workspace import write_json, write_text
 
@@ -188,7 +192,22 @@ def _camera_figures(posed: Posed) -> CameraFigures:
         is_test=graph.is_test,
         importance=graph.importance(),
         unregistered=tuple(name for name, _ in posed.structure.unregistered),
+        **_connections(posed.structure),
     )
+
+
+def _connections(structure: Structure) -> dict[str, Any]:
+    """What the picture of the cameras shows of the world and of photos and pairs that do not fit in."""
+    world, diagnosis = structure.world, structure.diagnosis
+    facts = {"compass": world is not None and world.compass, "unit": "" if world is None else "m"}
+    if diagnosis is None:
+        return facts
+    groups = [PhotoGroup(g.name, len(g.photos), g.bridge.advice() if g.bridge else "") for g in diagnosis.groups]
+    return facts | {
+        "beside": diagnosis.beside([name for name, _ in structure.unregistered], structure.reconstruction.names),
+        "objections": diagnosis.objections,
+        "groups": tuple(groups) if len(groups) > 1 else (),
+    }
 
 
 def _structure_figures(run: Run, posed: Posed) -> StructureFigures:
@@ -210,6 +229,7 @@ def _structure_figures(run: Run, posed: Posed) -> StructureFigures:
         checks.append(
             Check("largest camera shift", f"{shift:.2f} %", f"at most {limit:g} % of the scene", shift <= limit)
         )
+    checks += [Check(*check) for check in _soundness_checks(structure)]
     focals = ", ".join(sorted({f"{camera.focal_and_center[0]:.0f} px" for camera in model.cameras}))
     return StructureFigures(
         errors=model.errors,
@@ -218,6 +238,21 @@ def _structure_figures(run: Run, posed: Posed) -> StructureFigures:
         focal=focals,
         checks=tuple(checks),
     )
+
+
+def _soundness_checks(structure: Structure) -> list[tuple[str, str, str, bool]]:
+    """(name, measured, limit, passed) of the figures that the matches judge the poses by."""
+    if structure.diagnosis is None:
+        return []
+    sound = structure.diagnosis.soundness
+    return [
+        ("matches that contradict the poses", f"{100 * sound.contradicted_share:.1f} %",
+         f"below {100 * LARGEST_SHARE:g} %", sound.contradicted_share < LARGEST_SHARE),
+        ("strongest pair that contradicts them", f"{sound.strength:.2f}",
+         f"below {LARGEST_STRENGTH:g} of the best pair", sound.strength < LARGEST_STRENGTH),
+        ("pairs explained by a turn on the spot", f"{100 * sound.rotation_share:.0f} %",
+         f"below {100 * LARGEST_TURNING_SHARE:g} %", sound.rotation_share < LARGEST_TURNING_SHARE),
+    ]  # fmt: skip
 
 
 def _training_curve(made: Made) -> TrainingCurve:

@@ -19,8 +19,9 @@ from graphgs.structure.left_out import LeftOut, PhotoEvidence, left_out
 from graphgs.structure.matching import Matches
 from graphgs.structure.prior import Prior
 from graphgs.structure.sharpness import sharpness
-from graphgs.structure.soundness import Soundness
+from graphgs.structure.soundness import Soundness, Witness
 
+_ARRAYS = ("sharpness", "contrast", "features", "points", "error_px", "objections")
 _REFERENCES = 60  # placed photos whose sharpness is measured, to compare those left out with
 
 
@@ -36,13 +37,26 @@ class Diagnosis:
     error_px: np.ndarray  # [N] mean reprojection error of what it sees
     tried: TriedPairs
     support: PairSupport  # pairs are indices into the reconstruction's names
+    objections: np.ndarray  # [K, 2] int, likewise: pairs that contradict it strongly
     soundness: Soundness
     left_out: tuple[LeftOut, ...]
     groups: tuple[Group, ...]  # the largest first
 
+    def beside(self, photos: list[str], placed: tuple[str, ...]) -> np.ndarray:
+        """[len(photos)] int into `placed`: the one that each photo shares most verified matches with; -1 for none."""
+        row, node = {name: k for k, name in enumerate(self.names)}, {name: k for k, name in enumerate(placed)}
+        result = np.full(len(photos), -1, np.int64)
+        verified = np.flatnonzero(self.tried.inliers > 0)
+        for index, name in enumerate(photos):
+            own = verified[(self.tried.pairs[verified] == row[name]).any(1)]
+            for pair in own[np.argsort(self.tried.inliers[own], kind="stable")]:  # the strongest last
+                other = self.names[int(self.tried.pairs[pair].sum()) - row[name]]
+                result[index] = node.get(other, result[index])
+        return result
+
     def save(self, folder: Path) -> None:
         """Write diagnosis.json and diagnosis.npz."""
-        arrays = {name: getattr(self, name) for name in ("sharpness", "contrast", "features", "points", "error_px")}
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
         support = {f"support_{f.name}": getattr(self.support, f.name) for f in dataclasses.fields(PairSupport)}
         tried = {f"tried_{f.name}": getattr(self.tried, f.name) for f in dataclasses.fields(TriedPairs)}
         np.savez(folder / "diagnosis.npz", **arrays, **support, **tried)
@@ -79,8 +93,8 @@ def diagnose(
     matches: Matches,
     prior: Prior,
     model: Reconstruction,
-    verified: VerifiedMatches,
-    judgement: tuple[Soundness, PairSupport],  # of the model
+    witness: Witness,
+    judgement: tuple[Soundness, PairSupport],  # its, of the model
     *,
     threads: int,
 ) -> Diagnosis:
@@ -107,7 +121,7 @@ def diagnose(
         verified=np.bincount(matches.edges.ravel(), minlength=n),
         closest=_closest(tried, n),
         mutual=_mutual(matches.edges, n, ~placed),
-        seen=_seen(verified, model, image_of),
+        seen=_seen(witness.verified, model, image_of),
     )
     points, error_px = _per_photo(model)
     return Diagnosis(
@@ -119,6 +133,7 @@ def diagnose(
         error_px=np.where(placed, error_px[image_of], np.nan),
         tried=tried,
         support=support,
+        objections=witness.objections(support),
         soundness=soundness,
         left_out=left_out(evidence),
         groups=named_groups(names, members, tried, prior.similar),

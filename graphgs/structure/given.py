@@ -81,8 +81,8 @@ def map_given(
         model = dataclasses.replace(model, rotations=given.rotations, translations=given.translations)
     reconstruction = colored(model, photos, threads=threads)
     edges, inliers = edges_among(matches, reconstruction.names)
-    verified, judgement = calls.witness.verified, calls.witness.judge(reconstruction)
-    diagnosis = diagnose(photos, matches, prior, reconstruction, verified, judgement, threads=threads)
+    judgement = calls.witness.judge(reconstruction)
+    diagnosis = diagnose(photos, matches, prior, reconstruction, calls.witness, judgement, threads=threads)
     return Structure(
         reconstruction=reconstruction,
         edges=edges,

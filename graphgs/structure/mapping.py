@@ -64,8 +64,8 @@ def map_fine(
     reconstruction, rigs, world = _settled(config, best, photos, prior, reporter)
     reconstruction = colored(reconstruction, photos, threads=threads)
     edges, inliers = edges_among(matches, reconstruction.names)
-    verified, judgement = best.calls.witness.verified, (best.soundness, best.support)
-    diagnosis = diagnose(photos, matches, prior, reconstruction, verified, judgement, threads=threads)
+    judgement = (best.soundness, best.support)
+    diagnosis = diagnose(photos, matches, prior, reconstruction, best.calls.witness, judgement, threads=threads)
     return Structure(
         reconstruction,
         edges,

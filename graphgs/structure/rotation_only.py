@@ -15,7 +15,7 @@ _CLOSE, _CLOSEST_PX = 0.002, 1.0  # of the longer side: a match that a turn expl
 _MOST_PAIRS, _MOST_MATCHES = 200, 200  # looked at, per pair
 _ROUNDS = 4  # of reweighting
 _TURNED = 0.8  # share of a pair's matches that a turn must explain
-_LARGEST_SHARE = 0.9  # of the pairs; photos from several spots, turned on each, are tied by the others
+LARGEST_TURNING_SHARE = 0.9  # of the pairs; photos from several spots, turned on each, are tied by the others
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class RotationFit:
 
     @property
     def on_the_spot(self) -> bool:
-        return self.share >= _LARGEST_SHARE
+        return self.share >= LARGEST_TURNING_SHARE
 
     def describe(self) -> str:
         """What being on the spot means, for people."""
@@ -56,7 +56,7 @@ def fit_rotations(verified: VerifiedMatches, cameras: SharedCameras, *, focal_kn
         [_explained(verified.xy_i[chosen], verified.xy_j[chosen], f_i, f_j, scale, starts) for scale in scales]
     )
     best = int(shares.argmax())
-    endless = not focal_known and shares[-1] >= _LARGEST_SHARE
+    endless = not focal_known and shares[-1] >= LARGEST_TURNING_SHARE
     return RotationFit(float(shares[best]), float(scales[best]), bool(endless))
 
 

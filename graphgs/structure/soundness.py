@@ -18,8 +18,8 @@ from graphgs.structure.evidence import VerifiedMatches, read_verified
 from graphgs.structure.flatness import flat_and_frontal
 from graphgs.structure.rotation_only import RotationFit, fit_rotations
 
-_LARGEST_SHARE = 0.1  # of matches that contradict the model
-_LARGEST_STRENGTH = 0.4  # of a pair that does, see PairSupport.strength
+LARGEST_SHARE = 0.1  # of matches that contradict the model
+LARGEST_STRENGTH = 0.4  # of a pair that does, see PairSupport.strength
 _FEWEST_POINTS = 5  # per photo
 
 
@@ -55,7 +55,7 @@ class Witness:
     def judge(self, model: Reconstruction) -> tuple[Soundness, PairSupport]:
         """The model by the matches it was made from."""
         support = support_of(model, self.photos.names, self.verified)
-        strength = strong(support, self.min_inliers)
+        strength = self._strength(support)
         worst = int(strength.argmax()) if len(strength) else -1
         pair = None if worst < 0 or strength[worst] == 0 else tuple(model.names[k] for k in support.pairs[worst])
         figures = {
@@ -69,10 +69,13 @@ class Witness:
         }
         return Soundness(**figures, doubts=tuple(_doubts(figures, model, self.photos, self.rotation))), support
 
+    def objections(self, support: PairSupport) -> np.ndarray:
+        """[K, 2] the pairs that contradict the model strongly enough to doubt it."""
+        return support.pairs[self._strength(support) >= LARGEST_STRENGTH]
 
-def strong(support: PairSupport, min_inliers: int) -> np.ndarray:
-    """[E] PairSupport.strength of the pairs that contradict a model with enough matches to be meant, else 0."""
-    return support.strength(min_inliers) * (support.contradicted >= 2 * min_inliers)
+    def _strength(self, support: PairSupport) -> np.ndarray:
+        """[E] PairSupport.strength of the pairs that contradict a model with enough matches to be meant, else 0."""
+        return support.strength(self.min_inliers) * (support.contradicted >= 2 * self.min_inliers)
 
 
 def _doubts(figures: dict, model: Reconstruction, photos: Photos, rotation: RotationFit):
@@ -80,13 +83,13 @@ def _doubts(figures: dict, model: Reconstruction, photos: Photos, rotation: Rota
         yield f"there is hardly anything in it: {figures['points']} points for {len(model.names)} photos"
     if rotation.on_the_spot:
         yield rotation.describe()
-    if figures["strength"] >= _LARGEST_STRENGTH:
+    if figures["strength"] >= LARGEST_STRENGTH:
         first, second = figures["pair"]
         yield (
             f"{first} and {second} share {figures['pair_matches']} matches that it contradicts: parts of the scene "
             "look alike, and it may have taken one for another"
         )
-    elif figures["contradicted_share"] >= _LARGEST_SHARE:
+    elif figures["contradicted_share"] >= LARGEST_SHARE:
         yield (
             f"{100 * figures['contradicted_share']:.0f} % of the matches contradict it: parts of the scene look alike, "
             "and it may have taken one for another"

@@ -65,6 +65,7 @@ def scene(tmp_path) -> Path:
             np.concatenate([EDGES, [[0, 12], [9, 10]]]), np.r_[inliers + 30, 9, 80], np.r_[inliers, 0, 60]
         ),
         support=PairSupport(EDGES, inliers, inliers - 5, np.full(len(EDGES), 5)),
+        objections=np.zeros((0, 2), np.int64),
         soundness=Soundness(0.05, 0.1, (PLACED[0], PLACED[1]), 5, 0.0, False, 900, ()),
         left_out=(
             LeftOut("night/100.jpg", "tiny group", "shares features with night/101.jpg alone"),

@@ -11,6 +11,7 @@ from graphgs.evaluation.report.html import Markup, element
 
 WIDTH, MIN_HEIGHT, MAX_HEIGHT, MARGIN, FOOT = 760, 180, 540, 30, 22
 EDGE_BINS = 5
+LOST_REACH = 22.0  # SVG units from a camera to a photo that could not be placed
 
 
 @dataclass(frozen=True)
@@ -20,6 +21,9 @@ class Plane:
     right: np.ndarray  # [3]
     down: np.ndarray  # [3]
     seen: str  # where the onlooker stands, in words
+
+
+_NORTH_UP = Plane(np.array([1.0, 0, 0]), np.array([0.0, -1, 0]), "from above, north up")
 
 
 def viewing_plane(centers: np.ndarray, rotations: np.ndarray) -> Plane:
@@ -67,7 +71,7 @@ class CameraMap:
 
 def camera_map(cameras: CameraFigures) -> CameraMap:
     """Equal scale on both axes; at least one camera."""
-    plane = viewing_plane(cameras.centers, cameras.rotations)
+    plane = _NORTH_UP if cameras.compass else viewing_plane(cameras.centers, cameras.rotations)
     basis = np.stack([plane.right, plane.down], axis=1)
     flat = (cameras.centers - cameras.centers.mean(0)) @ basis
     low, high = flat.min(0), flat.max(0)
@@ -84,6 +88,8 @@ def camera_map(cameras: CameraFigures) -> CameraMap:
     svg = element(
         "svg",
         edge_paths,
+        _objections(cameras, xy),
+        _beside(cameras, xy),
         _cameras(cameras, xy, cameras.rotations[:, 2] @ basis),
         element("path", d=ruler, class_="ruler"),
         viewBox=f"0 0 {WIDTH} {height:.0f}",
@@ -114,6 +120,35 @@ def _edges(cameras: CameraFigures, xy: np.ndarray) -> tuple[list[Markup], list[t
         least, most = int(inliers[klass == k].min()), int(inliers[klass == k].max())
         legend.append((shade, numbers.count(least) if least == most else f"{least:,}–{most:,}"))
     return paths, legend
+
+
+def _objections(cameras: CameraFigures, xy: np.ndarray) -> Markup | None:
+    """Pairs that contradict the poses."""
+    if cameras.objections is None or not len(cameras.objections):
+        return None
+    ends = zip(xy[cameras.objections[:, 0]], xy[cameras.objections[:, 1]], strict=True)
+    d = "".join(f"M{p[0]:.1f} {p[1]:.1f}L{q[0]:.1f} {q[1]:.1f}" for p, q in ends)
+    return element("path", element("title", "matched, but not as the poses have it"), d=d, class_="objection")
+
+
+def _beside(cameras: CameraFigures, xy: np.ndarray) -> list[Markup]:
+    """Photos without a pose: a red cross on a dashed line, outwards from the camera that each shares most with."""
+    if cameras.beside is None:
+        return []
+    middle, taken, marks = xy.mean(0), {}, []
+    for name, k in zip(cameras.unregistered, cameras.beside, strict=True):
+        if k < 0:
+            continue
+        turn = taken.get(int(k), 0)
+        taken[int(k)] = turn + 1
+        away = xy[k] - middle
+        angle = np.arctan2(away[1], away[0]) + 0.5 * ((turn + 1) // 2) * (-1) ** turn
+        x, y = xy[k] + LOST_REACH * np.array([np.cos(angle), np.sin(angle)])
+        line = element("path", d=f"M{xy[k][0]:.1f} {xy[k][1]:.1f}L{x:.1f} {y:.1f}", class_="lost-line")
+        cross = f"M{x - 4:.1f} {y - 4:.1f}l8 8m0 -8l-8 8"
+        title = element("title", f"{name}: not placed; shares most with {cameras.names[k]}")
+        marks += [line, element("path", title, d=cross, class_="lost")]
+    return marks
 
 
 def _cameras(cameras: CameraFigures, xy: np.ndarray, directions: np.ndarray) -> list[Markup]:

@@ -40,7 +40,21 @@ class CameraFigures:
     inliers: np.ndarray  # [E]
     is_test: np.ndarray  # [N] bool
     importance: np.ndarray | None = None  # [N] betweenness, any scale
-    unregistered: tuple[str, ...] = ()
+    unregistered: tuple[str, ...] = ()  # [U]
+    beside: np.ndarray | None = None  # [U] int, the camera that each of these shares most with; -1 = none
+    objections: np.ndarray | None = None  # [K, 2] int, pairs whose matches contradict the poses
+    compass: bool = False  # the world's x is east, y north, z up
+    unit: str = ""  # of the world; empty: its own
+    groups: tuple["PhotoGroup", ...] = ()  # where the photos fall into several, the largest first
+
+
+@dataclass(frozen=True)
+class PhotoGroup:
+    """Photos that hang together, apart from the rest."""
+
+    name: str
+    count: int
+    advice: str = ""  # what would join it to the largest
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,11 @@
 """How the photos were tied together: pairs, the camera graph, the reconstruction's figures and checks."""
 
+import numpy as np
+
 from graphgs.evaluation.report import numbers
 from graphgs.evaluation.report.camera_map import camera_map
 from graphgs.evaluation.report.charts import histogram
-from graphgs.evaluation.report.data import CameraFigures, PairFigures, StructureFigures
+from graphgs.evaluation.report.data import CameraFigures, PairFigures, PhotoGroup, StructureFigures
 from graphgs.evaluation.report.html import Markup, element, join, table
 
 
@@ -37,7 +39,7 @@ def pairs(figures: PairFigures) -> Markup:
 
 
 def cameras(figures: CameraFigures) -> Markup:
-    lost = _unregistered(figures.unregistered)
+    lost = join(_unregistered(figures.unregistered), _groups(figures.groups))
     if not figures.names:
         return join(element("p", "No camera could be placed.", class_="empty"), lost)
     drawn = camera_map(figures)
@@ -45,10 +47,15 @@ def cameras(figures: CameraFigures) -> Markup:
     keys = [
         _key("train", f"training view ({numbers.count(len(figures.names) - tests)})"),
         _key("test", f"test view ({numbers.count(tests)})") if tests else None,
+        _key("lost", "not placed, at the camera it shares most with") if _any(figures.beside) else None,
+        element("span", element("i", class_="line objection"), "contradicts the poses")
+        if figures.objections is not None and len(figures.objections)
+        else None,
     ]
     strength = [element("span", element("i", class_=f"line {shade}"), words) for shade, words in drawn.edge_classes]
     size = "" if figures.importance is None else " Larger dots: more of the graph's shortest paths run through them."
-    ruler = f"Scale bar: {numbers.short(drawn.bar)} in the reconstruction's own unit, not metres."
+    own = " in the reconstruction's own unit, not metres"
+    ruler = f"Scale bar: {numbers.short(drawn.bar)}{f' {figures.unit}' if figures.unit else own}."
     note = f"Seen {drawn.seen}. Ticks point along the view.{size} {ruler}"
     return join(
         element(
@@ -100,6 +107,20 @@ def _unregistered(names: tuple[str, ...]) -> Markup | None:
         return None
     lead = f"{numbers.count(len(names))} not placed: "
     return element("p", element("strong", lead), ", ".join(names), class_="bad names")
+
+
+def _groups(groups: tuple[PhotoGroup, ...]) -> Markup | None:
+    if not groups:
+        return None
+    rows = [(group.name, numbers.count(group.count), group.advice or "the main group") for group in groups]
+    return join(
+        element("h3", "Groups of photos without common features"),
+        table(("group", "photos", "what would join it to the main one"), rows, numeric=(1,)),
+    )
+
+
+def _any(beside: np.ndarray | None) -> bool:
+    return beside is not None and bool((beside >= 0).any())
 
 
 def _key(kind: str, words: str) -> Markup:
