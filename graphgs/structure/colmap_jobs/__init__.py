@@ -21,8 +21,8 @@ from graphgs.structure.colmap_jobs.database import (
     verified,
 )
 from graphgs.structure.colmap_jobs.features import extract
-from graphgs.structure.colmap_jobs.given_matches import verify_given
 from graphgs.structure.colmap_jobs.focal_response import focal_response
+from graphgs.structure.colmap_jobs.given_matches import verify_given
 from graphgs.structure.colmap_jobs.mapping import map_globally, map_incrementally, triangulate
 from graphgs.structure.colmap_jobs.rigs import adjust_rigs
 
