@@ -18,6 +18,7 @@ from graphgs.evaluation.report import (
     HeldOutView,
     OutputFile,
     PairFigures,
+    PhotoGroup,
     ReportData,
     StructureFigures,
     TrainingCurve,
@@ -159,7 +160,9 @@ def test_names_cannot_inject_markup(tmp_path):
         photos_used=(EVIL,),
         photos_unused=(UnusedPhoto(EVIL, EVIL),),
         pairs=PairFigures(1, 2, 1, {EVIL: 1}, EVIL),
-        cameras=cameras(20, 50, names=(EVIL,) * 20, unregistered=(EVIL,)),
+        cameras=cameras(
+            20, 50, names=(EVIL,) * 20, unregistered=(EVIL,), beside=np.array([3]), groups=(PhotoGroup(EVIL, 2, EVIL),)
+        ),
         structure=StructureFigures(np.ones(3), np.full(3, 2), EVIL, EVIL, (Check(EVIL, EVIL, EVIL, False),)),
         tests=HeldOutFigures((view,), 20.0, 0.5, missing=(EVIL,)),
         stage_seconds={EVIL: 1.0},
@@ -319,6 +322,49 @@ def test_a_wall_of_cameras_is_seen_from_behind_and_upright():
     assert plane.seen == "from behind the cameras"
     np.testing.assert_allclose(plane.down, [0, 0, -1], atol=1e-9)
     np.testing.assert_allclose(plane.right, [1, 0, 0], atol=1e-9)
+
+
+def test_with_a_compass_north_is_up_and_lengths_are_metres(tmp_path):
+    centers = np.array([[0.0, 0, 2], [30, 0, 2], [0, 40, 2]])  # the second stands east of the first, the third north
+    facing = np.tile(np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), (3, 1, 1))
+    fields = {"centers": centers, "rotations": facing, "edges": np.array([[0, 1]]), "inliers": np.array([20])}
+    figures = cameras(3, 0, **fields, compass=True, unit="m", is_test=np.zeros(3, bool))
+    drawn = camera_map(figures)
+    dots = [(float(c.get("cx")), float(c.get("cy"))) for c in ET.fromstring(drawn.svg) if c.get("class") == "camera"]
+    here, east, north = np.array(dots)
+    np.testing.assert_allclose((east - here) / (east[0] - here[0]), [1, 0], atol=0.01)
+    np.testing.assert_allclose((north - here) / (here[1] - north[1]), [0, -1], atol=0.01)
+    assert "north up" in drawn.seen
+    page, _ = written(tmp_path, report(tmp_path, cameras=figures))
+    assert re.search(r"Scale bar: \d+ m\.", page.text)
+
+
+def test_photos_and_pairs_that_do_not_fit_are_red(tmp_path):
+    lost = tuple(f"lost{k}.jpg" for k in range(4))
+    figures = cameras(
+        12,
+        30,
+        unregistered=lost,
+        beside=np.array([3, 3, 7, -1]),  # the last shares nothing with any camera: it is only listed
+        objections=np.array([[0, 9], [2, 11]]),
+        groups=(PhotoGroup("day", 12), PhotoGroup("night", 3, "take photos from a.jpg to b.jpg")),
+    )
+    shapes = list(ET.fromstring(camera_map(figures).svg))
+    crosses = [shape for shape in shapes if shape.get("class") == "lost"]
+    assert len(crosses) == 3
+    assert len({cross.get("d") for cross in crosses}) == 3  # two at one camera stand apart
+    assert "lost2.jpg: not placed; shares most with 0007.jpg" in crosses[2][0].text
+    (objections,) = [shape for shape in shapes if shape.get("class") == "objection"]
+    assert objections.get("d").count("M") == 2
+    page, text = written(tmp_path, report(tmp_path, cameras=figures))
+    _drawings(text)
+    for words in (
+        "4 not placed: lost0.jpg",
+        "contradicts the poses",
+        "take photos from a.jpg to b.jpg",
+        "the main group",
+    ):
+        assert words in page.text
 
 
 def test_edge_classes_cover_every_edge_once():
