@@ -122,20 +122,20 @@ class TrainConfig:
     # Real-world nuisances
     exposure: Literal["none", "affine"] = "none"
     """An affine colour transform per training photo, for cameras that choose their exposure anew for every photo."""
-    exposure_rate: float = 0.02
+    exposure_rate: float = 0.05
     """Of the transforms, at the first step."""
-    exposure_rate_final: float = 0.002
+    exposure_rate_final: float = 0.005
     """At the last step; exponential in between."""
-    exposure_weight: float = 0.01
+    exposure_weight: float = 0.001
     """Of a transform's squared distance from the identity, in the loss."""
     refine_poses: bool = False
     """Move the poses of training views with the gradient of their images."""
     poses_from_fraction: float = 0.1
     """Share of the run before poses move: the first Gaussians say little about them."""
-    pose_rotation_rate: float = 1e-3
-    """[rad] per update, when poses begin to move; falls exponentially to a hundredth."""
-    pose_translation_rate: float = 1e-3
-    """In units of the scene extent; falls alike."""
+    pose_reach_deg: float = 2.0
+    """Sum of the strides that a pose can turn by in the whole run; each is shorter than the one before."""
+    pose_reach: float = 0.1
+    """The same for its centre, in units of the scene extent."""
 
     # Running
     image_cache_bytes: int = 512 * 2**20

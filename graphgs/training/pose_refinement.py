@@ -1,5 +1,7 @@
 """Correcting the poses of training views while the scene is learned."""
 
+import math
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -8,7 +10,8 @@ from graphgs.scene.similarity import Similarity
 from graphgs.training.config import TrainConfig
 from graphgs.training.view_rows import ViewRows
 
-FINAL_SHARE = 0.01  # of the first rate, at the last step
+FINAL_SHARE = 0.01  # of the first stride, at the last step
+MEAN_SHARE = (1.0 - FINAL_SHARE) / -math.log(FINAL_SHARE)  # of all strides between, falling exponentially
 _SERIES_BELOW = 1e-2  # squared angle; four terms of the series are then exact to 1e-14
 
 
@@ -38,6 +41,10 @@ class PoseRefinement:
         self.viewmats = self._original.copy()  # [N, 4, 4] as they are now
         self._rows = ViewRows(len(self._training), 6, device="cpu")  # moments alone: the values stay zero
         self._first_step = round(config.poses_from_fraction * config.steps)
+        # A run of any length, with any number of views, can correct poses by as much.
+        updates = max(1.0, (config.steps - self._first_step) / len(self._training))  # of each view, on average
+        reach = [config.pose_reach * extent] * 3 + [math.radians(config.pose_reach_deg)] * 3
+        self._first_strides = torch.tensor(reach) / (MEAN_SHARE * updates)
         self._leaf: Tensor | None = None  # [6] twist of the view that is being rendered
 
     def moves(self, step: int) -> bool:
@@ -56,12 +63,9 @@ class PoseRefinement:
         """One update of the view's pose from the gathered gradient, then back to the gauge."""
         if not self.moves(step):
             return
-        config = self._config
-        progress = (step - self._first_step) / max(1, config.steps - 1 - self._first_step)
-        fall = caution * FINAL_SHARE**progress
-        translation, rotation = config.pose_translation_rate * self._extent, config.pose_rotation_rate
-        rates = fall * torch.tensor([translation] * 3 + [rotation] * 3)
-        twist = self._rows.stride(int(self._row_of_view[view]), self._leaf.grad.cpu(), rates)
+        progress = (step - self._first_step) / max(1, self._config.steps - 1 - self._first_step)
+        strides = caution * FINAL_SHARE**progress * self._first_strides
+        twist = self._rows.stride(int(self._row_of_view[view]), self._leaf.grad.cpu(), strides)
         self.viewmats[view] = se3_exp(twist.double()).numpy() @ self.viewmats[view]
         self._leaf = None
         self._fix_gauge()
