@@ -253,6 +253,8 @@ def partial_error(posed: Posed, limits: StructureConfig) -> PartialError:
     reasons += structure.doubts
     trusted = agreed and not structure.doubts
     hint = "the report names the photos and reasons; add photos in between, "
+    if structure.doubts:
+        hint = "the report shows in red what does not fit; add photos that tell the places apart, "
     hint += "or train on these" if trusted else "or train on these doubtful poses"
     return PartialError(f"partial: {'; '.join(reasons)}", hint=f"{hint} with --allow-partial")
 

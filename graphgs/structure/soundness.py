@@ -80,19 +80,19 @@ class Witness:
 
 def _doubts(figures: dict, model: Reconstruction, photos: Photos, rotation: RotationFit):
     if figures["points"] < _FEWEST_POINTS * len(model.names):
-        yield f"there is hardly anything in it: {figures['points']} points for {len(model.names)} photos"
+        yield f"hardly any points were found: {figures['points']} for {len(model.names)} photos"
     if rotation.on_the_spot:
         yield rotation.describe()
     if figures["strength"] >= LARGEST_STRENGTH:
         first, second = figures["pair"]
         yield (
-            f"{first} and {second} share {figures['pair_matches']} matches that it contradicts: parts of the scene "
-            "look alike, and it may have taken one for another"
+            f"{first} and {second} share {figures['pair_matches']} matches that the poses contradict: parts of the scene "
+            "look alike, and one may have been taken for another"
         )
     elif figures["contradicted_share"] >= LARGEST_SHARE:
         yield (
-            f"{100 * figures['contradicted_share']:.0f} % of the matches contradict it: parts of the scene look alike, "
-            "and it may have taken one for another"
+            f"{100 * figures['contradicted_share']:.0f} % of the matches contradict the poses: parts of the scene look "
+            "alike, and one may have been taken for another"
         )
     told = {photo.name for photo in photos.photos if photo.focal_px}
     if figures["flat"] and not told.issuperset(model.names):
