@@ -86,8 +86,8 @@ def _doubts(figures: dict, model: Reconstruction, photos: Photos, rotation: Rota
     if figures["strength"] >= LARGEST_STRENGTH:
         first, second = figures["pair"]
         yield (
-            f"{first} and {second} share {figures['pair_matches']} matches that the poses contradict: parts of the scene "
-            "look alike, and one may have been taken for another"
+            f"{first} and {second} share {figures['pair_matches']} matches that the poses contradict: parts of the "
+            "scene look alike, and one may have been taken for another"
         )
     elif figures["contradicted_share"] >= LARGEST_SHARE:
         yield (
