@@ -11,7 +11,6 @@ import time
 
 import numpy as np
 
-from bench import overlap_gate
 from bench.metrics import Metric
 from graphgs.structure.pairing import make_pairs
 from graphgs.structure.pairing_config import PairingConfig
@@ -23,6 +22,8 @@ FOV_DEG, DEPTH_RANGE = 60.0, (0.5, 20.0)
 
 
 def run(device: str) -> list[Metric]:
+    from bench import overlap_gate  # not above: the processes that are measured would load its ray caster too
+
     metrics = [metric for name, n in SIZES.items() for metric in at_size(name, n)]
     return metrics + overlap_gate.run(device)
 

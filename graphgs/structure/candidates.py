@@ -15,6 +15,7 @@ from graphgs.structure.prior import Prior, poses_by_name
 from graphgs.structure.uncertainty import GPS, UNKNOWN, PoseUncertainty, measured, of_reconstruction
 
 _FEWEST_COMMON = 4  # cameras that a foreign prior shares with our own reconstruction, to bring both into one frame
+_DISAGREE = 4.0  # standard deviations per axis; which of two such positions is wrong, nobody knows
 
 
 def candidate_pairs(
@@ -75,7 +76,7 @@ def _own_evidence(prior: Prior) -> dict[str, Any]:
 
 def _foreign_evidence(prior: Prior) -> dict[str, Any]:
     """The poses are from elsewhere: our own reconstruction, carried into their frame, lends its points and shows how
-    far the poses are off. Positions alone (GPS) get its rotations too, where it has them."""
+    far the poses are off. Positions alone (GPS) get its rotations too, where it has them and agrees with the place."""
     own, names = prior.reconstruction, _placed_names(prior)
     if own is None:
         return {}
@@ -87,9 +88,12 @@ def _foreign_evidence(prior: Prior) -> dict[str, Any]:
     _, rotations, centers = poses_by_name(names, own)
     points, visible = _points(own, names)
     evidence: dict[str, Any] = {"points": points, "visible": visible} if len(points) else {}
-    if not prior.oriented:
-        return evidence | {"rotations": rotations, "judged": common, "uncertainty": GPS}
     given = prior.rotations[prior.placed][common], prior.centers[prior.placed][common]
+    if not prior.oriented:
+        off = measured(rotations[common], given[1], rotations[common], centers[common])
+        sure = PoseUncertainty(GPS.rotation, max(GPS.position, off.position))
+        agree = np.linalg.norm(centers - prior.centers[prior.placed], axis=1) <= _DISAGREE * sure.position
+        return evidence | {"rotations": rotations, "judged": common & agree, "uncertainty": sure}
     off = measured(*given, rotations[common], centers[common])
     floor = of_reconstruction(given[1])
     return evidence | {"uncertainty": PoseUncertainty(*np.maximum(off, floor))}

@@ -122,6 +122,14 @@ def test_gps_takes_rotations_from_our_own(own, street, told):
     assert np.mean([p in kept for p in overlapping]) > 0.99
 
 
+def test_gps_that_our_own_contradicts_judges_nothing(own, told):
+    prior = _moved(own, "gps", oriented=False)
+    centers = prior.centers.copy()
+    centers[[4, 50]] += [40.0, 0.0, 0.0]
+    _pairs(dataclasses.replace(prior, centers=centers))
+    assert np.flatnonzero(~told[0]["judged"]).tolist() == [4, 50]
+
+
 def test_photos_our_own_does_not_know_are_not_judged(own, told):
     part = own.reconstruction
     known = np.arange(90) % 9 != 4
