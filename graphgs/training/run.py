@@ -54,10 +54,12 @@ def train(
 
     Exposures and poses, if they are fitted, are those of training views: no test photo is read here.
     On the CPU the result is bit-identical for any `threads` and any interruption. Saves and re-raises on
-    KeyboardInterrupt. Raises DataError without points or training views, or when training diverges twice."""
+    KeyboardInterrupt. Raises DataError without points or training views, for cameras that are not finite, or when
+    training diverges twice."""
     reporter = reporter or Reporter()
     if views.is_test.all():
         raise DataError("training: no view is left to train on", hint="at least one photo must not be a test view")
+    _check_cameras(views)
     with _threads(threads), _deferred_interrupt() as interrupted:
         initial = _initial(config, points, device=device, reporter=reporter)
         extent = scene_extent(views.centers[~views.is_test], points.positions)
@@ -127,7 +129,7 @@ class _Run:
     def _is_finite(self, *, values: bool = True) -> bool:
         if self._unread and not bool(torch.isfinite(torch.stack(self._unread).sum())):
             return False
-        return not values or self._trainer.is_finite
+        return not values or self._trainer.is_sound
 
     def _report(self) -> None:
         trainer, stats = self._trainer, self.stats
@@ -193,6 +195,16 @@ def _initial(config: TrainConfig, points: PrunedPoints, *, device: str, reporter
         rows = np.linspace(0, len(splats) - 1, config.max_splats).round().astype(np.int64)
         splats = splats.rows(torch.from_numpy(rows).to(device))
     return dataclasses.replace(splats, sh_degree=config.sh_degree)
+
+
+def _check_cameras(views: Views) -> None:
+    finite = np.isfinite(views.viewmats).all(axis=(1, 2)) & np.isfinite(views.Ks).all(axis=(1, 2))
+    if not finite.all():
+        broken = [name for name, good in zip(views.names, finite, strict=True) if not good]
+        raise DataError(
+            f"training: the cameras of {len(broken)} views are not finite: {', '.join(broken[:3])}",
+            hint="the given poses may be damaged; without them, poses are found from the photos",
+        )
 
 
 def _fingerprint(config: TrainConfig, views: Views, graph: CameraGraph, initial: Splats, device: str, seed: int) -> str:

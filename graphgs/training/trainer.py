@@ -26,6 +26,7 @@ from graphgs.training.strategy import Strategy, make_strategy
 from graphgs.training.warm_up import reduce_camera, reduce_photo, reduction_of
 
 RECOVERY_RATE = 0.5  # learning rates after a roll-back
+LEAST_LOG_SCALE = -87.0  # the standard deviation is then the smallest normal float32; below, exp becomes 0
 
 
 class Trainer:
@@ -147,9 +148,12 @@ class Trainer:
         return viewmats, None if self._exposure is None else self._exposure.transforms()
 
     @property
-    def is_finite(self) -> bool:
-        """Whether everything that was learned is."""
-        return self.parameters.is_finite and all(fit.is_finite for fit in self._fits.values())
+    def is_sound(self) -> bool:
+        """Whether all that was learned, and the cameras it was learned with, are finite, and every Gaussian can be
+        drawn. Kernels skip what a pose or a Gaussian that is not finite would draw: the loss alone does not tell."""
+        cameras = self._viewmats.sum() + self._Ks.sum()
+        finite = self.parameters.is_finite and all(fit.is_finite for fit in self._fits.values())
+        return finite and bool(torch.isfinite(cameras)) and _have_extent(self.parameters)
 
     def state(self) -> dict[str, Tensor]:
         parts = {"strategy": self.strategy, **self._fits}
@@ -242,3 +246,9 @@ class Trainer:
 
     def _rates(self, step: int) -> dict[str, float]:
         return {name: self._caution * rate for name, rate in self.schedule.rates(step, extent=self._extent).items()}
+
+
+def _have_extent(parameters: Parameters) -> bool:
+    """Whether no Gaussian has a standard deviation of 0 or the quaternion 0, which stands for no rotation."""
+    quats, log_scales = (parameters.values[name].detach() for name in ("quats", "log_scales"))
+    return bool((quats.abs().amax(dim=-1) > 0.0).all() & (log_scales > LEAST_LOG_SCALE).all())
