@@ -9,7 +9,7 @@ Cause = Literal["blur", "texture", "no overlap", "tiny group", "another group", 
 
 # Limits relative to the photos that were placed: a share of their median, and at least three of their own deviations.
 _BLUR = 0.4  # of the sharpness, while the contrast is that of a photo of something
-_CONTRAST = 0.5
+_CONTRAST = 0.25
 _TEXTURE = 0.2  # of the features
 _DEVIATIONS = 3.0
 _GAUSSIAN = 1.4826  # standard deviation of a normal distribution, in medians of its absolute values

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -92,14 +93,19 @@ def test_two_scenes_in_one_folder_are_named_and_the_larger_is_reconstructed(tmp_
     assert set(verdict.left_out.values()) == {"another group"}
 
 
-def test_unrelated_photos_and_a_mirrored_one_are_left_out_by_name(tmp_path):
-    """A fifth of the folder is of something else; one photo was flipped."""
-    shots = corner(tmp_path / "a", count=8)
-    images = (*shots.images[:3], shots.images[3][:, ::-1], *shots.images[4:], *unrelated(2))
+def test_photos_that_do_not_belong_are_left_out_by_name_with_a_cause(tmp_path):
+    """A fifth of the folder shows something else; one photo was flipped, one is blurred, one shows a blank wall."""
+    shots = corner(tmp_path / "a", count=11)
+    images = list(shots.images)
+    images[3] = images[3][:, ::-1]
+    images[6] = cv2.GaussianBlur(images[6], (0, 0), 8)
+    images += [*unrelated(2), np.full_like(images[0], 128)]
     verdict = judge(as_photos(tmp_path, images), tmp_path)
     assert verdict.accepted
     assert largest_error(verdict.structure, shots) < 1.0
-    assert verdict.left_out == {"03.jpg": "no overlap", "08.jpg": "no overlap", "09.jpg": "no overlap"}
+    assert verdict.left_out == {
+        "03.jpg": "no overlap", "06.jpg": "blur", "11.jpg": "no overlap", "12.jpg": "no overlap", "13.jpg": "texture"
+    }  # fmt: skip
 
 
 def test_houses_that_repeat_fold_no_street(tmp_path):

@@ -122,6 +122,12 @@ def test_artefacts_survive_saving(solved, tmp_path):
     np.testing.assert_array_equal(Matches.load(tmp_path / "matches").edges, matches.edges)
     assert Structure.load(tmp_path / "structure").agreement == structure.agreement
     np.testing.assert_array_equal(Structure.load(tmp_path / "structure").edges, structure.edges)
+    kept = Structure.load(tmp_path / "structure").diagnosis
+    assert kept.soundness == structure.diagnosis.soundness
+    assert kept.groups == structure.diagnosis.groups
+    np.testing.assert_array_equal(kept.error_px, structure.diagnosis.error_px)
+    np.testing.assert_array_equal(kept.tried.pairs, structure.diagnosis.tried.pairs)
+    np.testing.assert_array_equal(kept.support.supported, structure.diagnosis.support.supported)
 
 
 def test_a_mapping_call_in_scratch_is_not_repeated(corner, solved):
