@@ -1,8 +1,12 @@
 """A user's own pairs: how the file is read, and that they reach the candidates unfiltered."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from graphgs import pipeline
+from graphgs.config import Config
 from graphgs.errors import UsageError
 from graphgs.structure.extra_pairs import read_extra_pairs
 
@@ -56,3 +60,24 @@ def test_a_file_that_cannot_be_read(tmp_path):
     with pytest.raises(UsageError, match="not a text file"):
         read_extra_pairs(tmp_path / "binary", NAMES)
     assert np.array_equal(read_extra_pairs(None, ()), np.zeros((0, 2)))
+
+
+def test_what_the_file_says_is_in_the_stages_key(tmp_path):
+    """Not where it lies, nor its comments."""
+
+    def key(file, text: str) -> tuple:
+        file.write_text(text, encoding="utf-8")
+        config, keys = Config().replace("pairing", extra_file=str(file)), {}
+
+        def stage(stage, inputs, produce, load, *, source_key="", **_):
+            keys[stage] = source_key
+
+        workspace = SimpleNamespace(cache=tmp_path)
+        run = SimpleNamespace(config=config, reporter=None, threads=1, workspace=workspace, stage=stage)
+        pipeline._matched(run, SimpleNamespace(names=NAMES))
+        return keys[pipeline.PAIRS], pipeline.settings_of(pipeline.PAIRS, config)
+
+    one = key(tmp_path / "pairs.txt", "a.jpg b.jpg")
+    assert one == key(tmp_path / "other.txt", "# again\nb.jpg a.jpg")
+    assert one != key(tmp_path / "pairs.txt", "a.jpg ü.jpg")
+    assert one != key(tmp_path / "pairs.txt", "")
