@@ -132,9 +132,9 @@ class TrainConfig:
     """Move the poses of training views with the gradient of their images."""
     poses_from_fraction: float = 0.1
     """Share of the run before poses move: the first Gaussians say little about them."""
-    pose_reach_deg: float = 2.0
+    pose_reach_deg: float = 1.0
     """Sum of the strides that a pose can turn by in the whole run; each is shorter than the one before."""
-    pose_reach: float = 0.1
+    pose_reach: float = 0.05
     """The same for its centre, in units of the scene extent."""
 
     # Running

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from graphgs.scene.similarity import Similarity
 from graphgs.training.config import TrainConfig
-from graphgs.training.view_rows import ViewRows
+from graphgs.training.whitened_steps import WhitenedSteps
 
 FINAL_SHARE = 0.01  # of the first stride, at the last step
 MEAN_SHARE = (1.0 - FINAL_SHARE) / -math.log(FINAL_SHARE)  # of all strides between, falling exponentially
@@ -39,12 +39,12 @@ class PoseRefinement:
         self._row_of_view = np.where(is_test, -1, np.cumsum(~is_test) - 1)
         self._original = viewmats.astype(np.float64)
         self.viewmats = self._original.copy()  # [N, 4, 4] as they are now
-        self._rows = ViewRows(len(self._training), 6, device="cpu")  # moments alone: the values stay zero
+        self._optimiser = WhitenedSteps(len(self._training), 6)
         self._first_step = round(config.poses_from_fraction * config.steps)
         # A run of any length, with any number of views, can correct poses by as much.
         updates = max(1.0, (config.steps - self._first_step) / len(self._training))  # of each view, on average
         reach = [config.pose_reach * extent] * 3 + [math.radians(config.pose_reach_deg)] * 3
-        self._first_strides = torch.tensor(reach) / (MEAN_SHARE * updates)
+        self._first_strides = np.array(reach) / (MEAN_SHARE * updates)  # [6]
         self._leaf: Tensor | None = None  # [6] twist of the view that is being rendered
 
     def moves(self, step: int) -> bool:
@@ -63,11 +63,14 @@ class PoseRefinement:
         """One update of the view's pose from the gathered gradient, then back to the gauge."""
         if not self.moves(step):
             return
-        progress = (step - self._first_step) / max(1, self._config.steps - 1 - self._first_step)
-        strides = caution * FINAL_SHARE**progress * self._first_strides
-        twist = self._rows.stride(int(self._row_of_view[view]), self._leaf.grad.cpu(), strides)
-        self.viewmats[view] = se3_exp(twist.double()).numpy() @ self.viewmats[view]
+        gradient = self._leaf.grad.double().cpu().numpy()
         self._leaf = None
+        if not np.isfinite(gradient).all():
+            return  # the run looks at the loss, and rolls back
+        progress = (step - self._first_step) / max(1, self._config.steps - 1 - self._first_step)
+        stride = self._optimiser.stride(int(self._row_of_view[view]), gradient * self._first_strides)
+        twist = caution * FINAL_SHARE**progress * self._first_strides * stride
+        self.viewmats[view] = se3_exp(torch.from_numpy(twist)).numpy() @ self.viewmats[view]
         self._fix_gauge()
 
     @property
@@ -75,10 +78,10 @@ class PoseRefinement:
         return bool(np.isfinite(self.viewmats).all())
 
     def state(self) -> dict[str, Tensor]:
-        return self._rows.state() | {"viewmats": torch.from_numpy(self.viewmats.copy())}
+        return self._optimiser.state() | {"viewmats": torch.from_numpy(self.viewmats.copy())}
 
     def load_state(self, state: dict[str, Tensor]) -> None:
-        self._rows.load_state(state)
+        self._optimiser.load_state(state)
         self.viewmats = state["viewmats"].numpy().copy()
 
     def _fix_gauge(self) -> None:
