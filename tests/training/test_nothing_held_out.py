@@ -1,6 +1,5 @@
 """No held-out photo enters a photometric term: not the loss, not consistency, not an exposure, not a pose."""
 
-
 import cv2
 import numpy as np
 import pytest
