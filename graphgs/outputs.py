@@ -55,6 +55,8 @@ def write_outputs(run: Run, posed: Posed, made: Made | None, *, command: str, st
     (stopped after the poses on request)."""
     output, started = run.workspace.output, time.perf_counter()
     run.reporter.info(f"writing {output}")
+    if made is not None and made.trained.viewmats is not None:
+        posed = posed.with_poses(made.trained.viewmats)
     versions = installed_versions()
     _write_settings(run, versions)
     posed.graph.save(output / "graph.json")

@@ -102,6 +102,23 @@ class Posed:
     pairs: Pairs | None = None
     matches: Matches | None = None
 
+    def with_poses(
+        self,
+        viewmats: np.ndarray,  # [N, 4, 4] world-to-camera, one for each view
+    ) -> "Posed":
+        """The same with the poses that training refined, in views, graph and reconstruction; points and what was
+        measured with the earlier poses stay."""
+        model, graph = self.structure.reconstruction, self.graph
+        assert model.names == graph.names == self.views.names
+        rotations, translations = viewmats[:, :3, :3], viewmats[:, :3, 3]
+        model = dataclasses.replace(model, rotations=rotations, translations=translations)
+        return dataclasses.replace(
+            self,
+            structure=dataclasses.replace(self.structure, reconstruction=model),
+            views=dataclasses.replace(self.views, viewmats=viewmats),
+            graph=dataclasses.replace(graph, rotations=rotations, centers=model.centers),
+        )
+
 
 @dataclass(frozen=True)
 class Run:
