@@ -2,6 +2,7 @@
 
 import dataclasses
 import errno
+import os
 import shlex
 import signal
 import sys
@@ -125,8 +126,12 @@ def explain(scene: Scene, image: Annotated[Positional[str], arg(metavar="IMAGE")
     if json:
         RunReporter(as_json=True).event(kind, **facts)
         return
-    for line in lines:
-        print(printable(line))
+    try:
+        for line in lines:
+            print(printable(line))
+        sys.stdout.flush()
+    except BrokenPipeError:  # `| head` has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 @app.command(name="eval")
