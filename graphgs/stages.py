@@ -5,7 +5,7 @@ from graphgs.workspace import Stage
 PHOTOS = Stage(1, "photos", 2)
 COARSE = Stage(2, "coarse", 2)
 PAIRS = Stage(3, "pairs", 2)
-MATCHES = Stage(4, "matches", 1)
+MATCHES = Stage(4, "matches", 2)
 MAPPING = Stage(5, "mapping", 3)
 VIEWS = Stage(6, "views", 1)
 GRAPH = Stage(7, "graph", 1)

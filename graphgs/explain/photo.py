@@ -73,7 +73,7 @@ def tried_pairs(found: Artefacts, name: str) -> list[dict[str, Any]]:
         pairs.append(
             {
                 "name": other,
-                "why": why.get(other, ["came later, to join what was apart or to replace what failed"]),
+                "why": why.get(other, ["came later: look-alikes, to join groups and to test the poses"]),
                 "matches": int(tried.matches[row]),
                 "inliers": int(tried.inliers[row]),
                 "supported": supported,

@@ -13,7 +13,7 @@ from graphgs.structure.acceptance import agreement
 from graphgs.structure.components import components, describe
 from graphgs.structure.config import StructureConfig
 from graphgs.structure.given import covisible_pairs
-from graphgs.structure.matching import bridge_candidates
+from graphgs.structure.matching import bridge_candidates, witness_pairs
 
 CONFIG = StructureConfig()
 
@@ -105,6 +105,13 @@ def test_bridges_lead_from_small_groups_to_their_look_alikes():
     assert bridges == [(0, 4), (2, 5), (4, 5)]
     in_file_order = bridge_candidates(6, edges, np.zeros((6, 0), np.int64), set(), per_group=1)
     assert in_file_order == [(2, 3), (4, 5)]
+
+
+def test_witnesses_are_the_untried_among_the_best_look_alikes():
+    similar = np.array([[1, 2, 3, 4], [0, 2, 3, 4], [1, 0, -1, -1], [4, 1, 0, 2], [3, 1, 0, 2]])
+    assert witness_pairs(similar, {(0, 1), (0, 2), (1, 2), (3, 4)}) == [(0, 3), (0, 4), (1, 3), (1, 4)]
+    assert witness_pairs(np.zeros((5, 0), np.int64), set()) == []
+    assert witness_pairs(np.zeros((0, 0), np.int64), set()) == []
 
 
 def test_covisible_pairs_count_shared_points():
