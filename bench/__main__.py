@@ -4,8 +4,6 @@ Medians with the device, the versions and the commit, and how they compare with 
 """
 
 import argparse
-import platform
-import subprocess
 import sys
 from dataclasses import dataclass
 from importlib import import_module
@@ -16,9 +14,8 @@ import warp as wp
 
 import graphgs.kernels.launch  # noqa: F401 - starts Warp, without its banner
 from bench.baselines import device_name, load_baseline, update_baseline
+from bench.environment import CACHE, commit, versions
 from bench.metrics import Metric
-
-CACHE = Path.home() / ".cache" / "graphgs-bench"
 
 
 @dataclass(frozen=True)
@@ -28,6 +25,7 @@ class Workload:
     cached: bool = False  # `run(device, cache)`: inputs too costly to make each time
     on_request: bool = False  # takes long: runs only when named
     same_everywhere: bool = False  # no timings: one baseline for all machines, per version of Warp
+    options: bool = False  # its module declares further arguments; `run(device, cache, args)`
 
 
 WORKLOADS = {
@@ -43,6 +41,7 @@ WORKLOADS = {
     "gpu-static": Workload(
         "gpu_static", "what the compiler says about the GPU's kernels; needs no GPU", same_everywhere=True
     ),
+    "quality": Workload("quality", "scenes learned with and without each part", on_request=True, options=True),
     "pairing": Workload("pairing", "choosing pairs for 600 to 100,000 cameras, and how well the gate tells"),
     "pairing-1m": Workload("pairing_million", "choosing pairs for a million cameras", on_request=True),
 }
@@ -54,22 +53,24 @@ def main() -> int:
         print("\n".join(f"{name:16} {workload.about}" for name, workload in WORKLOADS.items()))
         return 0
     device = device_name(args.device)
-    environment = {"commit": commit(), "warp": wp.__version__, "torch": torch.__version__}
+    environment = {"commit": commit(), **versions()}
     print(device)
-    print(", ".join(f"{k} {v}" for k, v in {"python": platform.python_version(), **environment}.items()))
+    print(", ".join(f"{k} {v}" for k, v in environment.items()))
+    environment.pop("python")
 
     regressed = []
     for name in args.only or [name for name, workload in WORKLOADS.items() if not workload.on_request]:
         workload = WORKLOADS[name]
         run = import_module(f"bench.{workload.module}").run
-        metrics = run(args.device, args.cache) if workload.cached else run(args.device)
+        inputs = (args.cache, args) if workload.options else (args.cache,) if workload.cached else ()
+        metrics = run(args.device, *inputs)
         store = name if workload.same_everywhere else device
         baseline = load_baseline(store, metrics, warp=wp.__version__ if workload.same_everywhere else None)
         report(metrics, baseline, changes_only=workload.same_everywhere)
         regressed += [m.name for m in metrics if m.name in baseline and m.regressed(baseline[m.name])]
         if args.update_baseline:
-            versions = {"warp": wp.__version__} if workload.same_everywhere else environment
-            print(f"wrote {update_baseline(store, metrics, versions)}")
+            stored = {"warp": wp.__version__} if workload.same_everywhere else environment
+            print(f"wrote {update_baseline(store, metrics, stored)}")
         elif args.gate and len(baseline) < len(metrics):
             missing = len(metrics) - len(baseline)
             print(f"{name}: {missing} of {len(metrics)} metrics have no baseline for {store} (--update-baseline)")
@@ -88,6 +89,11 @@ def parse() -> argparse.Namespace:
     )
     parser.add_argument("--gate", action="store_true", help="exit 1 if a metric is worse than its baseline allows")
     parser.add_argument("--update-baseline", action="store_true", help="store the results for this device")
+    words = [word for word in sys.argv[1:] if word not in ("-h", "--help")]  # help comes last, when it is complete
+    named = parser.parse_known_args(words)[0].only or []
+    for workload in (WORKLOADS[name] for name in named):
+        if workload.options:
+            import_module(f"bench.{workload.module}").add_arguments(parser)
     args = parser.parse_args()
     if args.device != "cpu" and not (wp.is_cuda_available() and torch.cuda.is_available()):
         parser.error(f"--device {args.device}: needs a CUDA device that both Warp and torch can use")
@@ -107,15 +113,6 @@ def line(metric: Metric, baseline: float | None) -> str:
         return text
     word = "worse" if metric.change(baseline) > 0 else "better"
     return f"{text}  baseline {baseline:10.2f}  {abs(metric.change(baseline)):6.1%} {word}"
-
-
-def commit() -> str:
-    """The checkout's commit, or "unknown" outside a checkout."""
-    command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
-    try:
-        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"
 
 
 if __name__ == "__main__":

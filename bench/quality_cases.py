@@ -1,0 +1,143 @@
+"""What the quality benchmark compares. A case is data: settings of the trainer, and changes to its input.
+
+A set is run with every case that fits it. `rank` says how soon: the first seed of rank 0 comes first, then rank 1
+beside the second seed of rank 0, and so on, so that a run that is stopped leaves whole tables behind.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from graphgs.config import Config, with_settings
+from graphgs.errors import UsageError
+
+SYNTHETIC = ("street", "street-own")
+REAL = ("fox", "castle", "kitti_street", "ochota_aerial")
+RATES = (0.7, 1.0, 1.4)  # multiples of the default learning rates that the control is tuned over
+MEANS_RATES = ("means_rate", "means_rate_final")
+OTHER_RATES = ("log_scales_rate", "quats_rate", "logit_opacities_rate", "sh_dc_rate", "sh_rest_rate")
+
+PLAIN = {"consistency": "none", "sampling": "uniform"}  # together with points="all": the graph's features off
+
+
+@dataclass(frozen=True)
+class Case:
+    name: str
+    about: str  # for the table
+    training: dict[str, Any] = field(default_factory=dict)  # training settings that differ from the preset's
+    rank: int = 1
+    sets: tuple[str, ...] = ()  # where it is run; empty: everywhere
+    seeds: int | None = None  # only so many
+    steps: float = 1.0  # share of the executed steps
+
+    # Learning rates
+    rates: tuple[float, float] = (1.0, 1.0)  # multiples: of the centres', of all others
+    tuned: bool = False  # take the rates of the best run of the grid on this set
+    time_of: str = ""  # execute as many steps as fit into the seconds of this case
+
+    # Input
+    scene: str = ""  # other poses: the prepared scene SET+scene
+    points: Literal["default", "all", "octree", "random"] = "default"
+    keep_every: int = 1  # train on every n-th training photo
+    noise: float = 0.0  # [rad and camera spacings] every pose disturbed by up to this
+    disturbed: bool = False  # training poses off by 0.5 degrees and 1 % of the scene
+    exposure_stops: float = 0.0  # training photos brighter or darker by up to this
+
+
+def _grid() -> list[Case]:
+    return [
+        Case(
+            f"plain {means:g}/{others:g}", f"plain trainer, rates of centres x {means:g}, others x {others:g}",
+            PLAIN, rank=0, seeds=1, rates=(means, others), points="all",
+        )
+        for means in RATES
+        for others in RATES
+        if (means, others) != (1.0, 1.0)
+    ]  # fmt: skip
+
+
+CASES = (
+    Case("full", "the default: consistency, sampling by importance, pruned points", rank=0),
+    Case("plain", "control: the same trainer without consistency, sampling and octree", PLAIN, rank=0, points="all"),
+    *_grid(),
+    Case("plain tuned", "control with its learning rates tuned on this set", PLAIN, points="all", tuned=True),
+    Case(
+        "plain tuned, equal time", "the tuned control for as long as the full method takes", PLAIN,
+        points="all", tuned=True, time_of="full",
+    ),
+    Case("full, control's rates", "the full method with the tuned control's rates", tuned=True),
+    # Consistency
+    Case("no consistency", "without the consistency loss (lambda 0)", {"consistency": "none"}),
+    Case("lambda .03", "weight of consistency .03", {"lambda_consistency": 0.03}, rank=2),
+    Case("lambda .15", "weight of consistency .15", {"lambda_consistency": 0.15}, rank=2),
+    Case("target random", "consistent with a random verified neighbour", {"consistency_target": "random"}),
+    Case("target sampled", "target drawn among the best few edges", {"consistency_target": "sampled"}, rank=2),
+    Case("source truth", "consistent with the other view's photo", {"consistency_source": "truth"}, rank=2),
+    Case("source both", "with its photo and its render", {"consistency_source": "both"}, rank=2),
+    Case("consistency paper", "the printed form, without depth", {"consistency": "paper"}, rank=2),
+    # Sampling
+    Case("uniform", "views drawn evenly, equal steps", {"sampling": "uniform"}),
+    Case("sampling paper", "the printed rule: draw evenly, skip", {"sampling": "paper"}, rank=2),
+    Case("sampling affine", "the affine form, drawn independently", {"sampling": "affine"}, rank=2),
+    Case("sampling loss", "views drawn by their loss", {"sampling": "loss"}, rank=2),
+    Case("importance degree", "degree in place of betweenness", {"importance": "degree"}, rank=2),
+    Case("full at .6", "the full method with .6 of the steps", steps=0.6),
+    Case("uniform at .6", "even draws with .6 of the steps", {"sampling": "uniform"}, steps=0.6),
+    # Initial points
+    Case("all points", "without octree pruning", points="all"),
+    Case("octree .4", "points pruned to 40 % by the octree", points="octree"),
+    Case("random .4", "the same number of points drawn at random", points="random"),
+    # Densification
+    Case("mcmc", "densification by sampling (3DGS as MCMC)", {"strategy": "mcmc"}, rank=2),
+    Case("absgrad", "absolute gradients (AbsGS)", {"absgrad": True}, rank=2),
+    Case("revised opacity", "halves of a split share the opacity", {"revised_opacity": True}, rank=2),
+    # Poses
+    Case("no filter", "all concentric pairs matched", sets=("fox", "street-own"), scene="unfiltered"),
+    Case("no CNNP", "sequential pairs in place of concentric ones", sets=("fox", "street-own"), scene="sequential"),
+    Case("paper's pairs", "pairs and filter as printed", sets=("fox", "street-own"), scene="paper"),
+    Case("no structure estimation", "coarse poses and points", sets=("fox", "street-own"), scene="coarse"),
+    Case("poses disturbed", "poses off by 0.5 degrees and 1 %", sets=("street", "fox"), disturbed=True),
+    Case(
+        "poses refined", "the same, refined while training", {"refine_poses": True}, sets=("street", "fox"),
+        disturbed=True,
+    ),
+    *(
+        Case(f"noise {noise:g}", f"every pose off by up to {noise:g} rad and spacings, plain trainer", PLAIN,
+             sets=("fox", "street"), points="all", noise=noise)
+        for noise in (0.1, 0.2, 0.3)
+    ),
+    # Exposure
+    Case("exposure disturbed", "+-1 stop per photo, no model", sets=("street",), exposure_stops=1.0),
+    Case("exposure model", "+-1 stop per photo, affine model", {"exposure": "affine"}, sets=("street",),
+         exposure_stops=1.0),
+    # Sparse views
+    *(
+        case
+        for n in (2, 4)
+        for case in (
+            Case(f"every {n}. photo", f"full method, every {n}. training photo", rank=2, keep_every=n),
+            Case(f"every {n}. photo, plain", "the control on them", PLAIN, rank=2, points="all", keep_every=n),
+        )
+    ),
+)  # fmt: skip
+
+BY_NAME = {case.name: case for case in CASES}
+GRID = tuple(case.name for case in CASES if case.name == "plain" or case.rates != (1.0, 1.0))
+
+
+def fits(case: Case, set_name: str) -> bool:
+    return not case.sets or set_name in case.sets
+
+
+def unknown_setting(case: Case) -> str | None:
+    """Why this version of the trainer does not have a case; None where it does."""
+    try:
+        with_settings(Config(), [f"training.{name}={value}" for name, value in case.training.items()])
+    except UsageError as error:
+        return str(error)
+    return None
+
+
+def rated(training: dict[str, Any], rates: tuple[float, float]) -> dict[str, float]:
+    """The learning rates among the `training` settings, multiplied."""
+    by_name = dict.fromkeys(MEANS_RATES, rates[0]) | dict.fromkeys(OTHER_RATES, rates[1])
+    return {name: training[name] * factor for name, factor in by_name.items()}

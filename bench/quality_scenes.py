@@ -1,0 +1,303 @@
+"""Prepared inputs of the quality benchmark: posed photos, their graph and their points, found once and kept small.
+
+A scene holds photos at the training size (JPEG, shared by all scenes of a set), a reconstruction without the image
+points, the camera graph, and initial points as the pipeline makes them. So training can start from it elsewhere,
+without estimating poses or building the octree again. Undistorted views are remade from it where it is used.
+"""
+
+import dataclasses
+import json
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from graphgs.graph import CameraGraph
+from graphgs.graph.build import build_camera_graph
+from graphgs.points import PointsConfig, PrunedPoints, initial_points, keep_all
+from graphgs.progress import Reporter
+from graphgs.scene.camera import Camera
+from graphgs.scene.colmap import read_model
+from graphgs.scene.covisibility import shared_points
+from graphgs.scene.reconstruction import Reconstruction
+from graphgs.scene.similarity import align
+from graphgs.scene.views import Views
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"  # real photo sets; they are not part of the project
+JPEG = [cv2.IMWRITE_JPEG_QUALITY, 95, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
+OCTREE_SHARE = 0.4  # of the points: the default prunes no cloud this small, so the octree is measured at this share
+
+# Frozen: a drive of 26 stops, 2.8 m apart, which is every 4th frame of the default drive, by three cameras.
+STREET = {"frames": 26, "cameras": 3, "spacing": 2.8, "width": 480, "height": 270, "seed": 0}
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How a scene is made: a set's photos, and what finds their poses."""
+
+    photos: str  # a folder below the data, or "street"
+    max_side: int  # [px] of the training images
+    poses: str = "own"  # own, exact (the truth), coarse (the first reconstruction alone)
+    settings: tuple[str, ...] = ()  # stage.field=value
+
+
+def _variants(name: str, photos: str, max_side: int, loose: bool) -> dict[str, Recipe]:
+    """The same photos with poses that lack a part of the structure estimation."""
+    paper = "paper-loose" if loose else "paper-strict"
+    return {
+        f"{name}+coarse": Recipe(photos, max_side, "coarse"),
+        f"{name}+unfiltered": Recipe(photos, max_side, settings=("pairing.filter=none",)),
+        f"{name}+sequential": Recipe(photos, max_side, settings=("pairing.pairs=sequential",)),
+        f"{name}+paper": Recipe(photos, max_side, settings=("pairing.pairs=paper", f"pairing.filter={paper}")),
+    }
+
+
+RECIPES = {
+    "fox": Recipe("fox/images", 480),
+    "street-own": Recipe("street", 480),
+    "street": Recipe("street", 480, "exact"),
+    "castle": Recipe("castle/images", 506),
+    "kitti_street": Recipe("kitti_street/images", 401),
+    "ochota_aerial": Recipe("ochota_aerial/images", 480),
+    **_variants("fox", "fox/images", 480, loose=False),
+    **_variants("street-own", "street", 480, loose=True),
+}
+SETS = tuple(name for name in RECIPES if "+" not in name)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What training and its judgement need of one set of photos."""
+
+    name: str
+    views: Views
+    graph: CameraGraph
+    model: Reconstruction  # points and tracks, without image points
+    points: dict[str, PrunedPoints]  # "default" as the pipeline's; "octree" at OCTREE_SHARE
+    true_depths: dict[str, np.ndarray] | None = None  # [H, W] camera z by held-out view, scene units, 0 = none
+
+
+def prepare(names: list[str], cache: Path, data: Path, *, threads: int, quality: int = 95) -> None:
+    """Make the scenes that are not there yet. A set whose photos are missing is skipped with a note."""
+    for name in names:
+        recipe, target = RECIPES[name], _folder(cache, name)
+        if target.exists():
+            print(f"{name}: prepared")
+        elif recipe.photos != "street" and not (data / recipe.photos).is_dir():
+            print(f"{name}: skipped, its photos are not there ({data / recipe.photos})")
+        else:
+            print(f"{name}: preparing", flush=True)
+            _prepare(name, recipe, cache, data, target, threads, quality)
+
+
+def prepared(cache: Path) -> list[str]:
+    return [name for name in RECIPES if _folder(cache, name).is_dir()]
+
+
+def load_scene(cache: Path, name: str, *, threads: int = 1) -> Scene:
+    """A prepared scene; its undistorted views are made at the first call."""
+    from graphgs.sources import Photos
+    from graphgs.structure.config import StructureConfig
+    from graphgs.structure.undistort import undistort
+
+    folder, made = _folder(cache, name), _root(cache) / "views" / name
+    header = json.loads((folder / "scene.json").read_text())
+    model, points = _read_arrays(folder / "scene.npz", header)
+    photos = Photos.load(_root(cache) / "photos" / header["photos"])
+    if not made.exists():
+        partial = made.with_name(f"{name}.partial")
+        shutil.rmtree(partial, ignore_errors=True)
+        partial.mkdir(parents=True)
+        config = StructureConfig(max_side=header["max_side"])
+        undistort(config, photos, model, partial, reporter=Reporter(), threads=threads).save(partial)
+        partial.rename(made)
+    depths = _true_depths(_root(cache) / "photos" / header["photos"] / "depth.npz", model, header)
+    return Scene(name, Views.load(made), CameraGraph.load(folder / "graph.json"), model, points, depths)
+
+
+def true_viewmats(cache: Path, scene: Scene) -> np.ndarray | None:
+    """[N, 4, 4] of the synthetic truth in its own world, for the views of a scene; None for real photos."""
+    path = _root(cache) / "photos" / "street" / "truth.npz"
+    if not scene.name.startswith("street") or not path.is_file():
+        return None
+    with np.load(path) as arrays:
+        rows = {name: k for k, name in enumerate(arrays["names"])}
+        return arrays["viewmats"][[rows[name] for name in scene.views.names]]
+
+
+def _root(cache: Path) -> Path:
+    return cache / "quality"
+
+
+def _folder(cache: Path, name: str) -> Path:
+    return _root(cache) / "scenes" / name
+
+
+def _prepare(name: str, recipe: Recipe, cache: Path, data: Path, target: Path, threads: int, quality: int) -> None:
+    from graphgs.config import PRESETS
+    from graphgs.pipeline import COARSE, MAPPING, PHOTOS
+    from graphgs.sources import Photos
+    from graphgs.structure.prior import Prior
+    from graphgs.structure.result import Structure
+    from graphgs.workspace import find_stage
+
+    assert "preview" in PRESETS
+    source = _street(cache) if recipe.photos == "street" else data / recipe.photos
+    base = "street-own" if recipe.photos == "street" else recipe.photos.split("/")[0]
+    work = _root(cache) / "work" / (base if recipe.poses != "own" else name)
+    if recipe.poses == "own" and name != base and (_root(cache) / "work" / base).exists() and not work.exists():
+        shutil.copytree(_root(cache) / "work" / base, work)  # features and coarse poses are the same
+    _pose(source, work, recipe, threads)
+    photos = Photos.load(find_stage(work, PHOTOS).folder)
+    names = {photo_name: k for k, photo_name in enumerate(photos.names)}
+    if recipe.poses == "exact":
+        model = read_model(source.parent / "truth")
+        edges, inliers = _covisible(model)
+    elif recipe.poses == "coarse":
+        model = Prior.load(find_stage(work, COARSE).folder).reconstruction
+        edges, inliers = _covisible(model)
+    else:
+        structure = Structure.load(find_stage(work, MAPPING).folder)
+        model, edges, inliers = structure.reconstruction, structure.edges, structure.inliers
+    is_test = photos.is_test[[names[photo] for photo in model.names]]
+    graph = build_camera_graph(model, is_test, edges, inliers)
+    count = len(model.points)
+    points = {
+        which: initial_points(config, model, reporter=Reporter(), threads=threads)
+        for which, config in (
+            ("default", PointsConfig()),
+            ("octree", PointsConfig(target=max(1, round(OCTREE_SHARE * count)))),
+        )
+    }
+    photos_name = "street" if recipe.photos == "street" else base
+    _write_photos(photos, _root(cache) / "photos" / photos_name, recipe.max_side, quality)
+    scale = 1.0
+    if photos_name == "street":
+        truth = read_model(source.parent / "truth")
+        _write_truth(truth, photos, source.parent / "truth", _root(cache) / "photos" / "street")
+        centers = dict(zip(truth.names, truth.centers, strict=True))
+        scale = align(model.centers, np.array([centers[n] for n in model.names])).scale
+    partial = target.with_name(f"{name}.partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir(parents=True)
+    graph.save(partial / "graph.json")
+    header = {"photos": photos_name, "max_side": recipe.max_side, "names": model.names, "true_scale": scale}
+    header["cameras"] = [dataclasses.asdict(camera) for camera in model.cameras]
+    (partial / "scene.json").write_text(json.dumps(header))
+    _write_arrays(partial / "scene.npz", model, points)
+    partial.rename(target)
+
+
+def _street(cache: Path) -> Path:
+    from graphgs.commands import synthesize
+    from graphgs.synth.street import StreetConfig
+
+    folder = _root(cache) / "work" / "street"
+    synthesize("street", folder, StreetConfig(**STREET))
+    return folder / "images"
+
+
+def _pose(source: Path, work: Path, recipe: Recipe, threads: int) -> None:
+    from graphgs.api import pose
+
+    pose(
+        source, work, preset="preview", max_side=recipe.max_side, threads=threads, allow_partial=True,
+        settings_extra=recipe.settings,
+    )  # fmt: skip
+
+
+def _covisible(model: Reconstruction) -> tuple[np.ndarray, np.ndarray]:
+    """(edges [E, 2], shared points [E]) of all pairs that see enough of the same."""
+    shared = shared_points(model).tocoo()
+    kept = (shared.row < shared.col) & (shared.data >= 15)  # COLMAP's least number of inliers
+    return np.stack([shared.row[kept], shared.col[kept]], axis=1).astype(np.int64), shared.data[kept]
+
+
+def _write_photos(photos, folder: Path, max_side: int, quality: int) -> None:
+    """The decoded photos at the training size, reduced as the pipeline does."""
+    if (folder / "photos.json").is_file():
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    kept = []
+    for k, photo in enumerate(photos.photos):
+        image = cv2.imread(str(photos.folder / photo.pixels), cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+        scale = min(1.0, max_side / max(image.shape[:2]))
+        size = tuple(max(1, round(side * scale)) for side in image.shape[1::-1])
+        if scale < 1.0:
+            image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+        grey = bool((image == image[..., :1]).all())
+        cv2.imwrite(str(folder / f"{k:06d}.jpg"), image[..., 0] if grey else image, [JPEG[0], quality, *JPEG[2:]])
+        kept.append(dataclasses.replace(photo, pixels=f"{k:06d}.jpg", width=size[0], height=size[1], mask=None))
+    dataclasses.replace(photos, photos=tuple(kept), given=None, rigs=()).save(folder)
+
+
+def _write_truth(truth: Reconstruction, photos, folder: Path, target: Path) -> None:
+    """True poses of all photos, and the depth images of the held-out ones."""
+    np.savez(target / "truth.npz", names=np.array(truth.names), viewmats=truth.viewmats)
+    depths = {}
+    for name in np.array(photos.names)[photos.is_test]:
+        with np.load(folder / "depth" / f"{Path(str(name)).with_suffix('')}.npz") as arrays:
+            depths[str(name)] = arrays["depth"].astype(np.float16)  # to 0.05 %
+    np.savez_compressed(target / "depth.npz", **depths)
+
+
+def _true_depths(path: Path, model: Reconstruction, header: dict) -> dict[str, np.ndarray] | None:
+    """The true depth images as the undistorted views see them, in the scene's own unit of length."""
+    from graphgs.structure.undistort import undistortion
+
+    if not path.is_file():
+        return None
+    result = {}
+    with np.load(path) as arrays:
+        for name in set(arrays.files) & set(model.names):
+            depth = arrays[name].astype(np.float32)
+            camera = model.camera_of(model.names.index(name)).scaled_to(depth.shape[1], depth.shape[0])
+            plan = undistortion(camera)
+            if plan.map_x is not None:
+                depth = cv2.remap(depth, plan.map_x, plan.map_y, cv2.INTER_NEAREST)
+            result[name] = depth / header["true_scale"]
+    return result
+
+
+def _write_arrays(path: Path, model: Reconstruction, points: dict[str, PrunedPoints]) -> None:
+    """In the least precision that changes nothing that is measured."""
+    arrays = {
+        "camera_ids": model.camera_ids.astype(np.uint16), "rotations": model.rotations,
+        "translations": model.translations, "points": model.points.astype(np.float32), "colors": model.colors,
+        "track_lengths": model.track_lengths.astype(np.uint16), "track_images": model.track_images.astype(np.uint16),
+    }  # fmt: skip
+    for which, chosen in points.items():
+        arrays |= {
+            f"{which}_positions": chosen.positions.astype(np.float32), f"{which}_colors": chosen.colors,
+            f"{which}_scales": chosen.scales.astype(np.float32),
+        }  # fmt: skip
+    np.savez_compressed(path, **arrays)
+
+
+def _read_arrays(path: Path, header: dict) -> tuple[Reconstruction, dict[str, PrunedPoints]]:
+    with np.load(path) as stored:
+        arrays = dict(stored)
+    cameras = tuple(Camera(c["model"], c["width"], c["height"], tuple(c["params"])) for c in header["cameras"])
+    images = arrays["track_images"].astype(np.int32)
+    model = Reconstruction(
+        cameras, tuple(header["names"]), arrays["camera_ids"].astype(np.int64), arrays["rotations"],
+        arrays["translations"], arrays["points"].astype(np.float64), arrays["colors"],
+        np.zeros(len(arrays["points"])), np.r_[0, np.cumsum(arrays["track_lengths"], dtype=np.int64)], images,
+        np.zeros((len(images), 2)),
+    )  # fmt: skip
+    points = {}
+    for which in ("default", "octree"):
+        positions = arrays[f"{which}_positions"].astype(np.float64)
+        points[which] = PrunedPoints(
+            positions, arrays[f"{which}_colors"], arrays[f"{which}_scales"].astype(np.float64),
+            np.zeros(0, np.int64), 0.0,
+        )  # fmt: skip
+    return model, points
+
+
+def every_point(model: Reconstruction, rows: np.ndarray | None = None) -> PrunedPoints:
+    """The reconstruction's points, or the chosen ones, as they are."""
+    chosen = np.arange(len(model.points)) if rows is None else rows
+    return keep_all(model.points[chosen], model.colors[chosen])
