@@ -10,8 +10,6 @@ from typing import Any, Literal
 from graphgs.config import Config, with_settings
 from graphgs.errors import UsageError
 
-SYNTHETIC = ("street", "street-own")
-REAL = ("fox", "castle", "kitti_street", "ochota_aerial")
 RATES = (0.7, 1.0, 1.4)  # multiples of the default learning rates that the control is tuned over
 MEANS_RATES = ("means_rate", "means_rate_final")
 OTHER_RATES = ("log_scales_rate", "quats_rate", "logit_opacities_rate", "sh_dc_rate", "sh_rest_rate")

@@ -1,1 +1,178 @@
-def write_report(*a, **k): ...
+"""docs/results.md from the stored measurements: every number and every verdict in it is computed here."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+
+from bench import quality_plots as plots
+from bench import quality_sections as sections
+from bench.quality_cases import BY_NAME
+from bench.quality_table import Figure, Table, markdown, number, percent, signed
+
+JPEG_QUALITY = 88
+HEADLINE = ("full", "plain", "plain tuned", "plain tuned, equal time", "full, control's rates")
+GROUPS = {
+    "Consistency": (
+        "no consistency", "lambda .03", "lambda .15", "target random", "target sampled", "source truth", "source both",
+        "consistency paper",
+    ),
+    "Sampling": (
+        "uniform", "sampling paper", "sampling affine", "sampling loss", "importance degree", "full at .6",
+        "uniform at .6",
+    ),
+    "Initial points": ("all points", "octree .4", "random .4"),
+    "Densification": ("mcmc", "absgrad", "revised opacity"),
+    "Poses": ("no filter", "no CNNP", "paper's pairs", "no structure estimation"),
+}  # fmt: skip
+
+
+def write_report(
+    rows: list[dict],
+    docs: Path,
+    *,
+    pictures: Path,  # truth.png, full.png, plain.png of a synthetic view, if they are there
+) -> Path:
+    """Write docs/results.md and what it shows; returns its path."""
+    table = Table(rows)
+    folder = docs / "pictures"
+    folder.mkdir(parents=True, exist_ok=True)
+    parts = [
+        _introduction(table),
+        _headline(table, folder),
+        _ablations(table, folder),
+        sections.octree(table),
+        sections.fewer_steps(table),
+        sections.sparse(table),
+        sections.noise(table, folder),
+        sections.poses(table),
+        sections.exposure(table),
+        sections.rates(table),
+        _pictures(pictures, folder),
+    ]
+    path = docs / "results.md"
+    path.write_text("\n\n".join(part for part in parts if part) + "\n", encoding="utf-8")
+    return path
+
+
+def _introduction(table: Table) -> str:
+    rows = table.rows
+    versions = ", ".join(
+        f"{name} {' and '.join(sorted({str(row[name]) for row in rows}))}"
+        for name in ("torch", "warp", "python", "commit")
+    )
+    seeds = max(len(table.seeds("full", name)) for name in table.sets) if table.sets else 0
+    jobs = " or ".join(str(n) for n in sorted({row["jobs"] for row in rows}))
+    missing = sum(row["missing"] for row in rows if row["case"] == "full" and row["seed"] == 0)
+    return f"""# Quality: what each part gains, and what it does not
+
+Made by `python -m bench.quality --report` from `bench/results/quality.jsonl`; no number is written by hand.
+`python -m bench --only quality` measures again.
+
+- **Where**: {table.device}; {versions}. {len(rows)} trainings, {jobs} at a time, so seconds and frames per
+  second compare with each other and are not the best a machine can do.
+- **How**: {table.steps} executed steps (less where it says so), at most 20,000 Gaussians (the `preview` preset), poses
+  from our own structure estimation. `street` has the exact poses, `street-own` the same photos with our own; both are
+  synthetic, a drive of three cameras of which every 4th frame is kept. Photos are stored as JPEG of quality 95 at the
+  training size.
+- **Judged** on every 8th photo, never trained on; {missing} held-out photos could not be placed and are not in the
+  means. PSNR is the mean over held-out views, "worst" its lowest view. Up to {seeds} seeds; ± is the standard deviation
+  over them.
+- **Differences** compare equal seeds. One *gains* or *loses* only where all seeds agree and the mean exceeds the
+  spread; otherwise it is *undecided*, and from one seed nothing is said."""
+
+
+def _headline(table: Table, folder: Path) -> str:
+    columns: list[tuple[str, Callable[[str, str], str]]] = [
+        ("PSNR dB", lambda c, n: number(table.figure(c, n, "psnr"))),
+        ("SSIM", lambda c, n: number(table.figure(c, n, "ssim"), 3)),
+        ("worst dB", lambda c, n: number(table.figure(c, n, "worst"))),
+        ("depth error %", lambda c, n: percent(table.figure(c, n, "depth_error"))),
+        ("steps", lambda c, n: number(table.figure(c, n, "steps"), 0)),
+        ("seconds", lambda c, n: number(table.figure(c, n, "seconds"), 1)),
+        ("Gaussians", lambda c, n: number(table.figure(c, n, "splats"), 0)),
+        ("frames/s", lambda c, n: number(table.figure(c, n, "frames_per_s"), 0)),
+    ]
+    body = [
+        [name, case, *(cell(case, name) for _, cell in columns)]
+        for name in table.sets
+        for case in HEADLINE
+        if table.has(case, name)
+    ]
+    text = ["## The method beside the same trainer without it", *_explained(HEADLINE), ""]
+    text.append(markdown(["set", "case", *(title for title, _ in columns)], body))
+    sentences, bars = [], {}
+    for name in table.sets:
+        for control in ("plain tuned", "plain tuned, equal time", "plain"):
+            difference = table.difference("full", control, name)
+            if difference is None:
+                continue
+            if control == "plain tuned":
+                bars[name] = (difference.mean, difference.spread or 0.0)
+            depth = table.difference("full", control, name, "depth_error", relative=True)
+            deeper = "" if depth is None else f"; depth error {percent(depth, sign=True)} %"
+            sentences.append([name, control, difference.text(sign=True), difference.verdict + deeper])
+    if sentences:
+        text += ["", "The full method minus each control:", ""]
+        text.append(markdown(["set", "control", "PSNR dB", "verdict"], sentences))
+    if bars:
+        (folder / "gain.svg").write_text(plots.bars("full minus tuned control", "dB", bars))
+        text += ["", "![The full method minus the tuned control, per set](pictures/gain.svg)"]
+    return "\n".join(text)
+
+
+def _ablations(table: Table, folder: Path) -> str:
+    text = [
+        "## One part changed at a time",
+        "PSNR of the changed run minus that of `full`, in dB. Positive: the change helps.",
+    ]
+    for group, cases in GROUPS.items():
+        cases = [case for case in cases if any(table.difference(case, "full", name) for name in table.sets)]
+        if not cases:
+            continue
+        body = []
+        for case in cases:
+            found = [table.difference(case, "full", name) for name in table.sets]
+            body.append([case, BY_NAME[case].about, *(signed(figure) for figure in found), _summary(found)])
+        text += ["", f"### {group}", "", markdown(["case", "what", *table.sets, "over the sets"], body)]
+    series = {}
+    for name in table.sets:
+        ladder = ((0.0, "no consistency"), (0.03, "lambda .03"), (0.07, "full"), (0.15, "lambda .15"))
+        line = [(x, f.mean) for x, case in ladder if (f := table.difference(case, "full", name)) is not None]
+        if len(line) > 2:
+            series[name] = line
+    if series:
+        plot = plots.lines("PSNR against lambda .07", "weight of the consistency loss", "dB", series)
+        (folder / "lambda.svg").write_text(plot)
+        text += ["", "![PSNR by weight of the consistency loss](pictures/lambda.svg)"]
+    return "\n".join(text)
+
+
+def _pictures(source: Path, folder: Path) -> str:
+    names = {"truth": "truth", "full": "full", "plain": "plain tuned"}
+    for name in names:
+        if (source / f"{name}.png").is_file():
+            image = cv2.imread(str(source / f"{name}.png"))
+            cv2.imwrite(str(folder / f"street_{name}.jpg"), image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+    shown = {name: title for name, title in names.items() if (folder / f"street_{name}.jpg").is_file()}
+    if not shown:
+        return ""
+    return "\n".join([
+        "## A held-out view of the street",
+        markdown(list(shown.values()), [[f"![{title}](pictures/street_{name}.jpg)" for name, title in shown.items()]]),
+    ])  # fmt: skip
+
+
+def _explained(cases: tuple[str, ...]) -> list[str]:
+    return [f"- `{case}`: {BY_NAME[case].about}" for case in cases]
+
+
+def _summary(found: list[Figure | None]) -> str:
+    """Mean over the sets, and how many of them decide for or against."""
+    figures = [figure for figure in found if figure is not None]
+    if not figures:
+        return ""
+    mean = sum(figure.mean for figure in figures) / len(figures)
+    verdicts = [figure.verdict for figure in figures]
+    said = ", ".join(f"{verdicts.count(v)} {v}" for v in ("gains", "loses", "undecided", "one seed") if v in verdicts)
+    return f"{mean:+.2f}: {said}"

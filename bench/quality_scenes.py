@@ -136,14 +136,12 @@ def _folder(cache: Path, name: str) -> Path:
 
 
 def _prepare(name: str, recipe: Recipe, cache: Path, data: Path, target: Path, threads: int, quality: int) -> None:
-    from graphgs.config import PRESETS
     from graphgs.pipeline import COARSE, MAPPING, PHOTOS
     from graphgs.sources import Photos
     from graphgs.structure.prior import Prior
     from graphgs.structure.result import Structure
     from graphgs.workspace import find_stage
 
-    assert "preview" in PRESETS
     source = _street(cache) if recipe.photos == "street" else data / recipe.photos
     base = "street-own" if recipe.photos == "street" else recipe.photos.split("/")[0]
     work = _root(cache) / "work" / (base if recipe.poses != "own" else name)
