@@ -27,6 +27,7 @@ from bench.quality_scenes import DATA, RECIPES, SETS, load_scene, prepare, prepa
 from graphgs.threads import available_cpus
 
 RESULTS = Path(__file__).parent / "results" / "quality.jsonl"  # committed: docs/results.md is made from it
+NO_FOLDER = Path("/dev/null")  # of --report: the committed results alone
 TOLERANCE = 0.02  # relative, of a PSNR
 
 
@@ -39,6 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--steps", type=int, default=2000, help="executed steps of a full training (default: 2000)")
     group.add_argument("--jobs", type=int, default=1, help="trainings at a time, a process each (default: 1)")
     group.add_argument("--minutes", type=float, help="start nothing new after so many minutes")
+    group.add_argument("--commit", default=commit(), help="what is measured (default: asked of git)")
     group.add_argument("--data", type=Path, default=DATA, help="folder of the real photo sets")
 
 
@@ -47,7 +49,7 @@ def run(device: str, cache: Path, args: argparse.Namespace) -> list[Metric]:
     cache = cache.resolve()
     if args.data.is_dir() or not prepared(cache):
         prepare(_wanted_scenes(args), cache, args.data, threads=available_cpus())
-    store = Store(cache / "quality" / "results.jsonl")
+    store = Store(cache / "quality" / "quality.jsonl")
     Schedule(device, cache, args, store).run()
     metrics = []
     for name in args.sets:
@@ -107,7 +109,7 @@ class Schedule:
     def __init__(self, device: str, cache: Path, args: argparse.Namespace, store: Store):
         self._device, self._cache, self._args, self._store = device, cache, args, store
         self._name = device_name(device)
-        self._static = {"device": self._name, "jobs": args.jobs, "commit": commit(), **versions()}
+        self._static = {"device": self._name, "jobs": args.jobs, "commit": args.commit, **versions()}
         self._end = time.monotonic() + 60 * args.minutes if args.minutes else float("inf")
 
     def run(self) -> None:
@@ -124,7 +126,9 @@ class Schedule:
         context = multiprocessing.get_context("spawn")
         with ProcessPoolExecutor(self._args.jobs, mp_context=context) as pool:
             if self._device != "cpu":  # compile the kernels once, not in every worker
-                pool.submit(measure, self._job(waiting[0], warm_up=True)).result()
+                failure = pool.submit(measure, self._job(waiting[0], warm_up=True)).exception()
+                if failure is not None:
+                    print(f"quality: warming up failed: {type(failure).__name__}: {failure}", flush=True)
             while waiting or running:
                 while waiting and len(running) < self._args.jobs and time.monotonic() < self._end:
                     ready = next((t for t in waiting if self._is_ready(t, [*waiting, *running.values()])), None)
@@ -140,7 +144,7 @@ class Schedule:
             print(f"quality: stopped with {len(waiting)} of {total} trainings left; run it again to go on")
 
     def _tasks(self, there: set[str]) -> Iterator[Task]:
-        """What is to be measured, first things first: by rank and seed, then by set."""
+        """What is to be measured, first things first: by the case's order and the seed, then by set."""
         args, chosen, noted = self._args, [], set()
         for order, case in enumerate(CASES):
             if args.cases and case.name not in args.cases:
@@ -156,7 +160,7 @@ class Schedule:
                     if task.scene not in there:
                         noted.add(task.scene)
                         continue
-                    chosen.append(((case.rank + seed, set_order, order), task))
+                    chosen.append(((case.order + seed * case.per_seed, set_order, order), task))
         for scene in sorted(noted):
             print(f"quality: {scene} is not prepared, so its cases are left out")
         return (task for _, task in sorted(chosen, key=lambda entry: entry[0]))
@@ -220,19 +224,20 @@ def main() -> int:
     parser.add_argument("--cache", type=Path, default=CACHE, help=f"folder for inputs and results (default: {CACHE})")
     parser.add_argument("--prepare", action="store_true", help="make the inputs, and train nothing")
     parser.add_argument("--threads", type=int, default=available_cpus(), help="of --prepare")
-    parser.add_argument("--report", action="store_true", help="write docs/results.md from the committed results")
-    parser.add_argument("--keep-results", action="store_true", help=f"copy the results to {RESULTS.name}, then report")
+    parser.add_argument(
+        "--report", nargs="?", const=NO_FOLDER, type=Path, metavar="FOLDER",
+        help="write docs/results.md from the committed results, or first take those in FOLDER (CACHE/quality)",
+    )  # fmt: skip
     add_arguments(parser)
     args = parser.parse_args()
     if args.prepare:
         prepare(_wanted_scenes(args), args.cache.resolve(), args.data, threads=args.threads)
-    elif args.report or args.keep_results:
-        if args.keep_results:
+    elif args.report is not None:
+        if args.report != NO_FOLDER:
             RESULTS.parent.mkdir(exist_ok=True)
-            rows = Store(args.cache / "quality" / "results.jsonl").rows
-            RESULTS.write_text("".join(json.dumps(row) + "\n" for row in rows))
+            RESULTS.write_text("".join(json.dumps(row) + "\n" for row in Store(args.report / "quality.jsonl").rows))
         docs = Path(__file__).resolve().parents[1] / "docs"
-        print(write_report(Store(RESULTS).rows, docs, pictures=args.cache / "quality" / "pictures"))
+        print(write_report(Store(RESULTS).rows, docs, pictures=args.report / "pictures"))
     else:
         for metric in run(args.device, args.cache, args):
             print(f"{metric.name:44} {metric.value:10.2f} {metric.unit}")

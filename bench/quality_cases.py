@@ -1,7 +1,7 @@
 """What the quality benchmark compares. A case is data: settings of the trainer, and changes to its input.
 
-A set is run with every case that fits it. `rank` says how soon: the first seed of rank 0 comes first, then rank 1
-beside the second seed of rank 0, and so on, so that a run that is stopped leaves whole tables behind.
+A set is run with every case that fits it. `order` says how soon: what comes first is done for all sets before the next,
+and a further seed comes one later, so that a run that is stopped leaves whole tables behind.
 """
 
 from dataclasses import dataclass, field
@@ -22,7 +22,8 @@ class Case:
     name: str
     about: str  # for the table
     training: dict[str, Any] = field(default_factory=dict)  # training settings that differ from the preset's
-    rank: int = 1
+    order: float = 1.0  # of the first seed
+    per_seed: float = 1.0  # what each further seed adds to it
     sets: tuple[str, ...] = ()  # where it is run; empty: everywhere
     seeds: int | None = None  # only so many
     steps: float = 1.0  # share of the executed steps
@@ -45,7 +46,7 @@ def _grid() -> list[Case]:
     return [
         Case(
             f"plain {means:g}/{others:g}", f"plain trainer, rates of centres x {means:g}, others x {others:g}",
-            PLAIN, rank=0, seeds=1, rates=(means, others), points="all",
+            PLAIN, order=0, seeds=1, rates=(means, others), points="all",
         )
         for means in RATES
         for others in RATES
@@ -54,30 +55,33 @@ def _grid() -> list[Case]:
 
 
 CASES = (
-    Case("full", "the default: consistency, sampling by importance, pruned points", rank=0),
-    Case("plain", "control: the same trainer without consistency, sampling and octree", PLAIN, rank=0, points="all"),
+    Case("full", "the default: consistency, sampling by importance, pruned points", order=0, per_seed=0.4),
+    Case("plain", "control: the same trainer without consistency, sampling and octree", PLAIN, order=0, points="all"),
     *_grid(),
-    Case("plain tuned", "control with its learning rates tuned on this set", PLAIN, points="all", tuned=True),
+    Case(
+        "plain tuned", "control with its learning rates tuned on this set", PLAIN, order=0.5, per_seed=0.4,
+        points="all", tuned=True,
+    ),
     Case(
         "plain tuned, equal time", "the tuned control for as long as the full method takes", PLAIN,
-        points="all", tuned=True, time_of="full",
+        order=0.6, per_seed=0.4, points="all", tuned=True, time_of="full",
     ),
     Case("full, control's rates", "the full method with the tuned control's rates", tuned=True),
     # Consistency
     Case("no consistency", "without the consistency loss (lambda 0)", {"consistency": "none"}),
-    Case("lambda .03", "weight of consistency .03", {"lambda_consistency": 0.03}, rank=2),
-    Case("lambda .15", "weight of consistency .15", {"lambda_consistency": 0.15}, rank=2),
+    Case("lambda .03", "weight of consistency .03", {"lambda_consistency": 0.03}, order=2),
+    Case("lambda .15", "weight of consistency .15", {"lambda_consistency": 0.15}, order=2),
     Case("target random", "consistent with a random verified neighbour", {"consistency_target": "random"}),
-    Case("target sampled", "target drawn among the best few edges", {"consistency_target": "sampled"}, rank=2),
-    Case("source truth", "consistent with the other view's photo", {"consistency_source": "truth"}, rank=2),
-    Case("source both", "with its photo and its render", {"consistency_source": "both"}, rank=2),
-    Case("consistency paper", "the printed form, without depth", {"consistency": "paper"}, rank=2),
+    Case("target sampled", "target drawn among the best few edges", {"consistency_target": "sampled"}, order=2),
+    Case("source truth", "consistent with the other view's photo", {"consistency_source": "truth"}, order=2),
+    Case("source both", "with its photo and its render", {"consistency_source": "both"}, order=2),
+    Case("consistency paper", "the printed form, without depth", {"consistency": "paper"}, order=2),
     # Sampling
     Case("uniform", "views drawn evenly, equal steps", {"sampling": "uniform"}),
-    Case("sampling paper", "the printed rule: draw evenly, skip", {"sampling": "paper"}, rank=2),
-    Case("sampling affine", "the affine form, drawn independently", {"sampling": "affine"}, rank=2),
-    Case("sampling loss", "views drawn by their loss", {"sampling": "loss"}, rank=2),
-    Case("importance degree", "degree in place of betweenness", {"importance": "degree"}, rank=2),
+    Case("sampling paper", "the printed rule: draw evenly, skip", {"sampling": "paper"}, order=2),
+    Case("sampling affine", "the affine form, drawn independently", {"sampling": "affine"}, order=2),
+    Case("sampling loss", "views drawn by their loss", {"sampling": "loss"}, order=2),
+    Case("importance degree", "degree in place of betweenness", {"importance": "degree"}, order=2),
     Case("full at .6", "the full method with .6 of the steps", steps=0.6),
     Case("uniform at .6", "even draws with .6 of the steps", {"sampling": "uniform"}, steps=0.6),
     # Initial points
@@ -85,9 +89,9 @@ CASES = (
     Case("octree .4", "points pruned to 40 % by the octree", points="octree"),
     Case("random .4", "the same number of points drawn at random", points="random"),
     # Densification
-    Case("mcmc", "densification by sampling (3DGS as MCMC)", {"strategy": "mcmc"}, rank=2),
-    Case("absgrad", "absolute gradients (AbsGS)", {"absgrad": True}, rank=2),
-    Case("revised opacity", "halves of a split share the opacity", {"revised_opacity": True}, rank=2),
+    Case("mcmc", "densification by sampling (3DGS as MCMC)", {"strategy": "mcmc"}, order=2),
+    Case("absgrad", "absolute gradients (AbsGS)", {"absgrad": True}, order=2),
+    Case("revised opacity", "halves of a split share the opacity", {"revised_opacity": True}, order=2),
     # Poses
     Case("no filter", "all concentric pairs matched", sets=("fox", "street-own"), scene="unfiltered"),
     Case("no CNNP", "sequential pairs in place of concentric ones", sets=("fox", "street-own"), scene="sequential"),
@@ -112,8 +116,8 @@ CASES = (
         case
         for n in (2, 4)
         for case in (
-            Case(f"every {n}. photo", f"full method, every {n}. training photo", rank=2, keep_every=n),
-            Case(f"every {n}. photo, plain", "the control on them", PLAIN, rank=2, points="all", keep_every=n),
+            Case(f"every {n}. photo", f"full method, every {n}. training photo", order=2, keep_every=n),
+            Case(f"every {n}. photo, plain", "the control on them", PLAIN, order=2, points="all", keep_every=n),
         )
     ),
 )  # fmt: skip

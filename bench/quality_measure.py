@@ -60,6 +60,7 @@ def measure(job: Job) -> dict:
     row = {
         "set": job.set, "case": job.case.name, "seed": job.seed, "steps": trained.stats.steps_executed,
         "rates": list(job.rates), "points": len(inputs.points.positions),
+        "photos": len(inputs.views.names), "edges": len(inputs.graph.edges),
         "psnr": judged.psnr, "ssim": judged.ssim, "worst": worst.psnr, "worst_view": worst.name,
         "views": len(judged.views), "missing": len(judged.missing), "psnr_fitted": judged.psnr_exposure_fitted,
         "splats": len(trained.splats), "seconds": trained.stats.seconds,
@@ -121,11 +122,11 @@ def _pose_errors(scene: Scene, inputs: Inputs, trained: Trained) -> dict[str, fl
 
 
 def _keep_pictures(job: Job, judged, folder: Path) -> None:
-    """Truth and render of one held-out view of the synthetic set, for the report."""
+    """Truth and render of two held-out views of the synthetic set, for the report."""
     if job.set != "street" or job.seed != 0 or job.case.name not in SHOWN:
         return
-    view = judged.views[len(judged.views) // 2]
     target = job.cache / "quality" / "pictures"
     target.mkdir(parents=True, exist_ok=True)
-    for source, name in ((view.truth, "truth"), (view.render, SHOWN[job.case.name])):
-        (target / f"{name}.png").write_bytes((folder / source).read_bytes())
+    for where, view in (("ahead", judged.views[1]), ("aside", judged.views[len(judged.views) // 2])):
+        for source, name in ((view.truth, "truth"), (view.render, SHOWN[job.case.name])):
+            (target / f"{where}-{name}.png").write_bytes((folder / source).read_bytes())

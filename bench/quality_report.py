@@ -10,7 +10,9 @@ from bench import quality_sections as sections
 from bench.quality_cases import BY_NAME
 from bench.quality_table import Figure, Table, markdown, number, percent, signed
 
-JPEG_QUALITY = 88
+JPEG_QUALITY = 80
+PICTURES = ("ahead", "aside")  # held-out views of the synthetic set
+SHOWN = {"truth": "truth", "full": "full", "plain": "plain tuned"}  # their pictures, by column
 HEADLINE = ("full", "plain", "plain tuned", "plain tuned, equal time", "full, control's rates")
 GROUPS = {
     "Consistency": (
@@ -23,7 +25,6 @@ GROUPS = {
     ),
     "Initial points": ("all points", "octree .4", "random .4"),
     "Densification": ("mcmc", "absgrad", "revised opacity"),
-    "Poses": ("no filter", "no CNNP", "paper's pairs", "no structure estimation"),
 }  # fmt: skip
 
 
@@ -31,7 +32,7 @@ def write_report(
     rows: list[dict],
     docs: Path,
     *,
-    pictures: Path,  # truth.png, full.png, plain.png of a synthetic view, if they are there
+    pictures: Path,  # those of SHOWN as VIEW-NAME.png, if they are there
 ) -> Path:
     """Write docs/results.md and what it shows; returns its path."""
     table = Table(rows)
@@ -41,6 +42,7 @@ def write_report(
         _introduction(table),
         _headline(table, folder),
         _ablations(table, folder),
+        sections.structure(table),
         sections.octree(table),
         sections.fewer_steps(table),
         sections.sparse(table),
@@ -124,17 +126,22 @@ def _headline(table: Table, folder: Path) -> str:
 def _ablations(table: Table, folder: Path) -> str:
     text = [
         "## One part changed at a time",
-        "PSNR of the changed run minus that of `full`, in dB. Positive: the change helps.",
+        "PSNR of the changed run minus that of `full`, in dB: positive, the change helps. On the synthetic sets also "
+        "the change of the depth error in % of it: negative, the change helps.",
     ]
     for group, cases in GROUPS.items():
         cases = [case for case in cases if any(table.difference(case, "full", name) for name in table.sets)]
         if not cases:
             continue
+        deep = [name for name in table.sets if table.figure("full", name, "depth_error")]
         body = []
         for case in cases:
             found = [table.difference(case, "full", name) for name in table.sets]
-            body.append([case, BY_NAME[case].about, *(signed(figure) for figure in found), _summary(found)])
-        text += ["", f"### {group}", "", markdown(["case", "what", *table.sets, "over the sets"], body)]
+            depths = [table.difference(case, "full", name, "depth_error", relative=True) for name in deep]
+            cells = [*map(signed, found), *(percent(figure, sign=True) for figure in depths)]
+            body.append([case, BY_NAME[case].about, *cells, _summary(found)])
+        head = ["case", "what", *table.sets, *(f"depth error, {name}, %" for name in deep), "PSNR over the sets"]
+        text += ["", f"### {group}", "", markdown(head, body)]
     series = {}
     for name in table.sets:
         ladder = ((0.0, "no consistency"), (0.03, "lambda .03"), (0.07, "full"), (0.15, "lambda .15"))
@@ -149,18 +156,20 @@ def _ablations(table: Table, folder: Path) -> str:
 
 
 def _pictures(source: Path, folder: Path) -> str:
-    names = {"truth": "truth", "full": "full", "plain": "plain tuned"}
-    for name in names:
-        if (source / f"{name}.png").is_file():
-            image = cv2.imread(str(source / f"{name}.png"))
-            cv2.imwrite(str(folder / f"street_{name}.jpg"), image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
-    shown = {name: title for name, title in names.items() if (folder / f"street_{name}.jpg").is_file()}
-    if not shown:
+    body = []
+    for where in PICTURES:
+        row = []
+        for name, title in SHOWN.items():
+            target = folder / f"street-{where}-{name}.jpg"
+            if (source / f"{where}-{name}.png").is_file():
+                image = cv2.imread(str(source / f"{where}-{name}.png"))
+                cv2.imwrite(str(target), image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+            if target.is_file():
+                row.append(f"![{title}, {where}](pictures/{target.name})")
+        body += [row] if len(row) == len(SHOWN) else []
+    if not body:
         return ""
-    return "\n".join([
-        "## A held-out view of the street",
-        markdown(list(shown.values()), [[f"![{title}](pictures/street_{name}.jpg)" for name, title in shown.items()]]),
-    ])  # fmt: skip
+    return "\n".join(["## Held-out views of the street", "", markdown(list(SHOWN.values()), body)])
 
 
 def _explained(cases: tuple[str, ...]) -> list[str]:

@@ -8,6 +8,30 @@ from bench.quality_cases import BY_NAME, GRID
 from bench.quality_scenes import OCTREE_SHARE
 from bench.quality_table import Table, markdown, number, percent, signed
 
+STRUCTURE = ("full", "no filter", "no CNNP", "paper's pairs", "no structure estimation")
+
+
+def structure(table: Table) -> str:
+    body = []
+    for name in table.sets:
+        cases = [case for case in STRUCTURE if table.has(case, name)]
+        for case in cases if len(cases) > 1 else []:
+            counts = (number(table.figure(case, name, key), 0) for key in ("photos", "missing", "edges", "points"))
+            difference = None if case == "full" else table.difference(case, "full", name)
+            verdict = "" if difference is None else f"{difference.text(sign=True)}, {difference.verdict}"
+            about = "graphgs pairs and filter, fine poses" if case == "full" else BY_NAME[case].about
+            body.append([name, case, about, *counts, number(table.figure(case, name, "psnr")), verdict])
+    if not body:
+        return ""
+    head = ["set", "case", "poses from", "photos", "missing", "verified pairs", "points", "PSNR dB", "minus full"]
+    return "\n".join([
+        "## Structure estimation taken apart",
+        'The same training on other poses; "missing" are held-out photos without a pose. Where pairs and points are '
+        "those of `full`, the part taken away had nothing to do on so few photos.",
+        "",
+        markdown(head, body),
+    ])  # fmt: skip
+
 
 def octree(table: Table) -> str:
     body = []

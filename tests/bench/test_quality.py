@@ -79,7 +79,7 @@ def bench(scene, tmp_path, monkeypatch):
 
 def test_a_stopped_run_goes_on_and_is_reported(bench, tmp_path, monkeypatch, capsys):
     bench("--cases", "full", "plain", "--seeds", "1")
-    path = tmp_path / "quality" / "results.jsonl"
+    path = tmp_path / "quality" / "quality.jsonl"
     first = path.read_text()
     rows = [json.loads(line) for line in first.splitlines()]
     assert [(row["case"], row["steps"]) for row in rows] == [("full", STEPS), ("plain", STEPS)]
