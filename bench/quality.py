@@ -8,6 +8,8 @@ continues, on the same device and with the same steps.
 """
 
 import argparse
+import functools
+import hashlib
 import json
 import multiprocessing
 import sys
@@ -23,7 +25,7 @@ from bench.metrics import Metric
 from bench.quality_cases import BY_NAME, CASES, GRID, Case, fits, unknown_setting
 from bench.quality_measure import Job, measure
 from bench.quality_report import write_report
-from bench.quality_scenes import DATA, RECIPES, SETS, load_scene, prepare, prepared
+from bench.quality_scenes import DATA, RECIPES, SETS, load_scene, prepare, prepared, scene_digest
 from graphgs.threads import available_cpus
 
 RESULTS = Path(__file__).parent / "results" / "quality.jsonl"  # committed: docs/results.md is made from it
@@ -39,6 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--seeds", type=int, default=3, help="trainings per case and set (default: 3)")
     group.add_argument("--steps", type=int, default=2000, help="executed steps of a full training (default: 2000)")
     group.add_argument("--jobs", type=int, default=1, help="trainings at a time, a process each (default: 1)")
+    group.add_argument("--again", action="store_true", help="measure also what is there already")
     group.add_argument("--minutes", type=float, help="start nothing new after so many minutes")
     group.add_argument("--commit", default=commit(), help="what is measured (default: asked of git)")
     group.add_argument("--data", type=Path, default=DATA, help="folder of the real photo sets")
@@ -155,7 +158,8 @@ class Schedule:
             for set_order, name in enumerate(args.sets):
                 for seed in range(min(args.seeds, case.seeds or args.seeds)):
                     task = Task(case, name, seed)
-                    if not fits(case, name) or self._find(case.name, name, seed):
+                    there_already = self._find(case.name, name, seed) is not None and not args.again
+                    if not fits(case, name) or there_already:
                         continue
                     if task.scene not in there:
                         noted.add(task.scene)
@@ -167,9 +171,15 @@ class Schedule:
 
     def _find(self, case: str, name: str, seed: int) -> dict | None:
         """The last measurement of this, if there is one."""
-        wanted = (case, name, seed, self._args.steps, self._name)
-        keys = ("case", "set", "seed", "base_steps", "device")
-        return next((r for r in reversed(self._store.rows) if tuple(r[k] for k in keys) == wanted), None)
+        wanted = (case, name, seed, self._args.steps, self._name, self._definition(case, name))
+        keys = ("case", "set", "seed", "base_steps", "device", "definition")
+        return next((r for r in reversed(self._store.rows) if tuple(r.get(k) for k in keys) == wanted), None)
+
+    @functools.cache  # noqa: B019 - lives as long as the run
+    def _definition(self, case: str, name: str) -> str:
+        scene = Task(BY_NAME[case], name, 0).scene
+        content = json.dumps([BY_NAME[case].definition, scene_digest(self._cache, scene)])
+        return hashlib.sha256(content.encode()).hexdigest()[:12]
 
     def _is_ready(self, task: Task, unfinished: list[Task]) -> bool:
         """Whether what it builds on is measured, or never will be."""
@@ -199,7 +209,8 @@ class Schedule:
         if (error := future.exception()) is not None:
             print(f"{done:4} {label} failed: {type(error).__name__}: {error}", flush=True)
             return
-        row = future.result() | {"base_steps": self._args.steps} | self._static
+        told = {"base_steps": self._args.steps, "definition": self._definition(task.case.name, task.set)}
+        row = future.result() | told | self._static
         self._store.add(row)
         print(
             f"{done:4} {label} {row['psnr']:6.2f} dB  {row['splats']:6} Gaussians  {row['seconds']:6.1f} s", flush=True

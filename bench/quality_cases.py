@@ -4,7 +4,7 @@ A set is run with every case that fits it. `order` says how soon: what comes fir
 and a further seed comes one later, so that a run that is stopped leaves whole tables behind.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, Literal
 
 from graphgs.config import Config, with_settings
@@ -40,6 +40,12 @@ class Case:
     noise: float = 0.0  # [rad and camera spacings] every pose disturbed by up to this
     disturbed: bool = False  # training poses off by 0.5 degrees and 1 % of the scene
     exposure_stops: float = 0.0  # training photos brighter or darker by up to this
+
+    @property
+    def definition(self) -> dict[str, Any]:
+        """What a measurement depends on, beside the code."""
+        words = ("name", "about", "order", "per_seed", "sets", "seeds")
+        return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in words}
 
 
 def _grid() -> list[Case]:

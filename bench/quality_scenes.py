@@ -6,6 +6,7 @@ without estimating poses or building the octree again. Undistorted views are rem
 """
 
 import dataclasses
+import hashlib
 import json
 import shutil
 from dataclasses import dataclass
@@ -79,17 +80,17 @@ class Scene:
     true_depths: dict[str, np.ndarray] | None = None  # [H, W] camera z by held-out view, scene units, 0 = none
 
 
-def prepare(names: list[str], cache: Path, data: Path, *, threads: int, quality: int = 95) -> None:
+def prepare(names: list[str], cache: Path, data: Path, *, threads: int) -> None:
     """Make the scenes that are not there yet. A set whose photos are missing is skipped with a note."""
     for name in names:
-        recipe, target = RECIPES[name], _folder(cache, name)
-        if target.exists():
+        recipe = RECIPES[name]
+        if _folder(cache, name).exists():
             print(f"{name}: prepared")
         elif recipe.photos != "street" and not (data / recipe.photos).is_dir():
             print(f"{name}: skipped, its photos are not there ({data / recipe.photos})")
         else:
             print(f"{name}: preparing", flush=True)
-            _prepare(name, recipe, cache, data, target, threads, quality)
+            _prepare(name, recipe, cache, data, threads)
 
 
 def prepared(cache: Path) -> list[str]:
@@ -102,12 +103,12 @@ def load_scene(cache: Path, name: str, *, threads: int = 1) -> Scene:
     from graphgs.structure.config import StructureConfig
     from graphgs.structure.undistort import undistort
 
-    folder, made = _folder(cache, name), _root(cache) / "views" / name
+    folder, made = _folder(cache, name), _root(cache) / "views" / f"{name}-{scene_digest(cache, name)}"
     header = json.loads((folder / "scene.json").read_text())
     model, points = _read_arrays(folder / "scene.npz", header)
     photos = Photos.load(_root(cache) / "photos" / header["photos"])
     if not made.exists():
-        partial = made.with_name(f"{name}.partial")
+        partial = made.with_name(f"{made.name}.partial")
         shutil.rmtree(partial, ignore_errors=True)
         partial.mkdir(parents=True)
         config = StructureConfig(max_side=header["max_side"])
@@ -117,14 +118,12 @@ def load_scene(cache: Path, name: str, *, threads: int = 1) -> Scene:
     return Scene(name, Views.load(made), CameraGraph.load(folder / "graph.json"), model, points, depths)
 
 
-def true_viewmats(cache: Path, scene: Scene) -> np.ndarray | None:
-    """[N, 4, 4] of the synthetic truth in its own world, for the views of a scene; None for real photos."""
-    path = _root(cache) / "photos" / "street" / "truth.npz"
-    if not scene.name.startswith("street") or not path.is_file():
-        return None
-    with np.load(path) as arrays:
-        rows = {name: k for k, name in enumerate(arrays["names"])}
-        return arrays["viewmats"][[rows[name] for name in scene.views.names]]
+def scene_digest(cache: Path, name: str) -> str:
+    """Of a prepared scene's poses, graph and points: another scene, other measurements."""
+    content = hashlib.sha256()
+    for path in sorted(_folder(cache, name).glob("*")):
+        content.update(path.read_bytes())
+    return content.hexdigest()[:12]
 
 
 def _root(cache: Path) -> Path:
@@ -135,57 +134,62 @@ def _folder(cache: Path, name: str) -> Path:
     return _root(cache) / "scenes" / name
 
 
-def _prepare(name: str, recipe: Recipe, cache: Path, data: Path, target: Path, threads: int, quality: int) -> None:
-    from graphgs.pipeline import COARSE, MAPPING, PHOTOS
+def _prepare(name: str, recipe: Recipe, cache: Path, data: Path, threads: int) -> None:
+    from graphgs.pipeline import PHOTOS
     from graphgs.sources import Photos
-    from graphgs.structure.prior import Prior
-    from graphgs.structure.result import Structure
     from graphgs.workspace import find_stage
 
-    source = _street(cache) if recipe.photos == "street" else data / recipe.photos
-    base = "street-own" if recipe.photos == "street" else recipe.photos.split("/")[0]
-    work = _root(cache) / "work" / (base if recipe.poses != "own" else name)
-    if recipe.poses == "own" and name != base and (_root(cache) / "work" / base).exists() and not work.exists():
+    synthetic = recipe.photos == "street"
+    source = _street(cache) if synthetic else data / recipe.photos
+    base = "street-own" if synthetic else name.split("+")[0]
+    work = _root(cache) / "work" / (name if recipe.poses == "own" else base)
+    if not work.exists() and (_root(cache) / "work" / base).exists():
         shutil.copytree(_root(cache) / "work" / base, work)  # features and coarse poses are the same
     _pose(source, work, recipe, threads)
+    model, edges, inliers = _reconstruction(recipe, source, work)
     photos = Photos.load(find_stage(work, PHOTOS).folder)
-    names = {photo_name: k for k, photo_name in enumerate(photos.names)}
-    if recipe.poses == "exact":
-        model = read_model(source.parent / "truth")
-        edges, inliers = _covisible(model)
-    elif recipe.poses == "coarse":
-        model = Prior.load(find_stage(work, COARSE).folder).reconstruction
-        edges, inliers = _covisible(model)
-    else:
-        structure = Structure.load(find_stage(work, MAPPING).folder)
-        model, edges, inliers = structure.reconstruction, structure.edges, structure.inliers
-    is_test = photos.is_test[[names[photo] for photo in model.names]]
-    graph = build_camera_graph(model, is_test, edges, inliers)
-    count = len(model.points)
+    is_test = dict(zip(photos.names, photos.is_test, strict=True))
+    graph = build_camera_graph(model, np.array([is_test[photo] for photo in model.names]), edges, inliers)
+    pruned = PointsConfig(target=max(1, round(OCTREE_SHARE * len(model.points))))
     points = {
         which: initial_points(config, model, reporter=Reporter(), threads=threads)
-        for which, config in (
-            ("default", PointsConfig()),
-            ("octree", PointsConfig(target=max(1, round(OCTREE_SHARE * count)))),
-        )
+        for which, config in (("default", PointsConfig()), ("octree", pruned))
     }
-    photos_name = "street" if recipe.photos == "street" else base
-    _write_photos(photos, _root(cache) / "photos" / photos_name, recipe.max_side, quality)
+    kept = "street" if synthetic else base
+    _write_photos(photos, _root(cache) / "photos" / kept, recipe.max_side)
     scale = 1.0
-    if photos_name == "street":
+    if synthetic:
+        _write_depths(photos, source.parent / "truth", _root(cache) / "photos" / kept)
         truth = read_model(source.parent / "truth")
-        _write_truth(truth, photos, source.parent / "truth", _root(cache) / "photos" / "street")
         centers = dict(zip(truth.names, truth.centers, strict=True))
-        scale = align(model.centers, np.array([centers[n] for n in model.names])).scale
+        scale = align(model.centers, np.array([centers[photo] for photo in model.names])).scale
+    target = _folder(cache, name)
     partial = target.with_name(f"{name}.partial")
     shutil.rmtree(partial, ignore_errors=True)
     partial.mkdir(parents=True)
     graph.save(partial / "graph.json")
-    header = {"photos": photos_name, "max_side": recipe.max_side, "names": model.names, "true_scale": scale}
+    header = {"photos": kept, "max_side": recipe.max_side, "names": model.names, "true_scale": scale}
     header["cameras"] = [dataclasses.asdict(camera) for camera in model.cameras]
     (partial / "scene.json").write_text(json.dumps(header))
     _write_arrays(partial / "scene.npz", model, points)
     partial.rename(target)
+
+
+def _reconstruction(recipe: Recipe, source: Path, work: Path) -> tuple[Reconstruction, np.ndarray, np.ndarray]:
+    """(reconstruction, pairs [E, 2], their strength [E]) by the recipe."""
+    from graphgs.pipeline import COARSE, MAPPING
+    from graphgs.structure.prior import Prior
+    from graphgs.structure.result import Structure
+    from graphgs.workspace import find_stage
+
+    if recipe.poses == "own":
+        structure = Structure.load(find_stage(work, MAPPING).folder)
+        return structure.reconstruction, structure.edges, structure.inliers
+    if recipe.poses == "exact":
+        model = read_model(source.parent / "truth")
+    else:
+        model = Prior.load(find_stage(work, COARSE).folder).reconstruction
+    return model, *_covisible(model)
 
 
 def _street(cache: Path) -> Path:
@@ -213,7 +217,7 @@ def _covisible(model: Reconstruction) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([shared.row[kept], shared.col[kept]], axis=1).astype(np.int64), shared.data[kept]
 
 
-def _write_photos(photos, folder: Path, max_side: int, quality: int) -> None:
+def _write_photos(photos, folder: Path, max_side: int) -> None:
     """The decoded photos at the training size, reduced as the pipeline does."""
     if (folder / "photos.json").is_file():
         return
@@ -226,14 +230,13 @@ def _write_photos(photos, folder: Path, max_side: int, quality: int) -> None:
         if scale < 1.0:
             image = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
         grey = bool((image == image[..., :1]).all())
-        cv2.imwrite(str(folder / f"{k:06d}.jpg"), image[..., 0] if grey else image, [JPEG[0], quality, *JPEG[2:]])
+        cv2.imwrite(str(folder / f"{k:06d}.jpg"), image[..., 0] if grey else image, JPEG)
         kept.append(dataclasses.replace(photo, pixels=f"{k:06d}.jpg", width=size[0], height=size[1], mask=None))
     dataclasses.replace(photos, photos=tuple(kept), given=None, rigs=()).save(folder)
 
 
-def _write_truth(truth: Reconstruction, photos, folder: Path, target: Path) -> None:
-    """True poses of all photos, and the depth images of the held-out ones."""
-    np.savez(target / "truth.npz", names=np.array(truth.names), viewmats=truth.viewmats)
+def _write_depths(photos, folder: Path, target: Path) -> None:
+    """The depth images of the held-out photos."""
     depths = {}
     for name in np.array(photos.names)[photos.is_test]:
         with np.load(folder / "depth" / f"{Path(str(name)).with_suffix('')}.npz") as arrays:
