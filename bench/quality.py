@@ -99,11 +99,11 @@ class Task:
         return f"{self.set}+{self.case.scene}" if self.case.scene else self.set
 
     @property
-    def needs(self) -> tuple[str, ...]:
-        """Cases that say what this one is: the grid that tunes the rates, the runs whose seconds are matched."""
-        tuned = GRID if self.case.tuned else ()
-        timed = (self.case.time_of, "plain tuned") if self.case.time_of else ()
-        return tuned + timed
+    def needs(self) -> set[tuple[str, int]]:
+        """(case, seed) that say what this one is: the grid that tunes the rates, the runs whose seconds are matched."""
+        tuned = {(name, 0) for name in GRID} if self.case.tuned else set()
+        timed = {(self.case.time_of, self.seed), ("plain tuned", self.seed)} if self.case.time_of else set()
+        return tuned | timed
 
 
 class Schedule:
@@ -183,7 +183,7 @@ class Schedule:
 
     def _is_ready(self, task: Task, unfinished: list[Task]) -> bool:
         """Whether what it builds on is measured, or never will be."""
-        return not any(other.set == task.set and other.case.name in task.needs for other in unfinished)
+        return not any(other.set == task.set and (other.case.name, other.seed) in task.needs for other in unfinished)
 
     def _seconds(self, case: str, task: Task) -> float | None:
         """[s] that the case took: with the same seed, or else the first."""
