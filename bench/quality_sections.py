@@ -6,7 +6,7 @@ from pathlib import Path
 from bench import quality_plots as plots
 from bench.quality_cases import BY_NAME, GRID
 from bench.quality_scenes import OCTREE_SHARE
-from bench.quality_table import Table, markdown, number, percent, signed
+from bench.quality_table import Table, count, markdown, number, percent, signed
 
 STRUCTURE = ("full", "no filter", "no CNNP", "paper's pairs", "no structure estimation")
 
@@ -16,7 +16,7 @@ def structure(table: Table) -> str:
     for name in table.sets:
         cases = [case for case in STRUCTURE if table.has(case, name)]
         for case in cases if len(cases) > 1 else []:
-            counts = (number(table.figure(case, name, key), 0) for key in ("photos", "missing", "edges", "points"))
+            counts = (count(table.figure(case, name, key)) for key in ("photos", "missing", "edges", "points"))
             difference = None if case == "full" else table.difference(case, "full", name)
             verdict = "" if difference is None else f"{difference.text(sign=True)}, {difference.verdict}"
             about = "graphgs pairs and filter, fine poses" if case == "full" else BY_NAME[case].about
@@ -27,7 +27,8 @@ def structure(table: Table) -> str:
     return "\n".join([
         "## Structure estimation taken apart",
         'The same training on other poses; "missing" are held-out photos without a pose. Where pairs and points are '
-        "those of `full`, the part taken away had nothing to do on so few photos.",
+        "those of `full`, the part taken away had nothing to do on so few photos. The paper: 30.36 dB in full, 29.14 "
+        "without the quadrant filter, 24.33 without concentric pairs, 24.77 without structure estimation (Waymo).",
         "",
         markdown(head, body),
     ])  # fmt: skip
@@ -51,7 +52,7 @@ def octree(table: Table) -> str:
         f"The default keeps every point of clouds up to 20,000; here the octree keeps {OCTREE_SHARE:.0%}. "
         "Differences to training from all points.",
         "",
-        markdown(["set", "points", "octree, dB", "random, dB", "training time of the octree's, %"], body),
+        markdown(["set", "points", "octree, dB", "random, dB", "octree, training time, %"], body),
     ])  # fmt: skip
 
 
@@ -108,7 +109,8 @@ def noise(table: Table, folder: Path) -> str:
     return "\n".join([
         "## Noisy poses given to the plain trainer",
         "PSNR in dB. Every pose, held-out ones too, is turned by up to so many rad and moved along each axis by up to "
-        "so many spacings between cameras. The pipeline uses such poses to choose pairs only.",
+        "so many spacings between cameras. The pipeline uses such poses to choose pairs only. The "
+        "paper, with noise of 0.3: 12.68 dB for 3DGS.",
         "",
         markdown(["set", *(f"{x:g}" for x, _ in ladder)], body),
         "",

@@ -1,18 +1,20 @@
 """Measurements by case, set and seed, what may be said of their differences, and how numbers are written."""
 
+import math
 import statistics
 from collections import Counter
 from dataclasses import dataclass
 
+from scipy.special import stdtrit
+
 
 @dataclass(frozen=True)
 class Figure:
-    """Mean and spread over seeds; the spread is the standard deviation, None from a single seed."""
+    """Mean and spread over seeds (or sets); the spread is the standard deviation, None from a single one."""
 
     mean: float
     spread: float | None
     count: int
-    agree: bool = True  # of a difference: whether all seeds have the same sign
 
     def text(self, digits: int = 2, *, sign: bool = False) -> str:
         mean = f"{self.mean:+.{digits}f}" if sign else f"{self.mean:.{digits}f}"
@@ -20,10 +22,12 @@ class Figure:
 
     @property
     def verdict(self) -> str:
-        """Of a difference, larger being better. Three seeds decide little: all must agree, beyond their spread."""
+        """Of a difference, larger being better: decided where zero lies outside its 95 % interval (Student's t). Few
+        seeds decide little: three need a mean of 2.5 times their spread."""
         if self.spread is None:
             return "one seed"
-        if not self.agree or abs(self.mean) <= self.spread:
+        reach = float(stdtrit(self.count - 1, 0.975)) * self.spread / math.sqrt(self.count)
+        if abs(self.mean) <= reach:
             return "undecided"
         return "gains" if self.mean > 0 else "loses"
 
@@ -57,7 +61,7 @@ class Table:
     def figure(self, case: str, name: str, key: str) -> Figure | None:
         """None where it was not measured."""
         values = [row[key] for row in self.seeds(case, name).values() if row.get(key) is not None]
-        return _figure(values) if values else None
+        return figure_of(values) if values else None
 
     def difference(
         self,
@@ -72,7 +76,7 @@ class Table:
         ours, others = self.seeds(case, name), self.seeds(against, name)
         pairs = [(ours[seed].get(key), others[seed].get(key)) for seed in sorted(ours.keys() & others.keys())]
         values = [(a - b) / b if relative else a - b for a, b in pairs if a is not None and b]
-        return _figure(values) if values else None
+        return figure_of(values) if values else None
 
     def best_of(self, cases: tuple[str, ...], name: str) -> str | None:
         """The case with the highest PSNR of the first seed."""
@@ -80,13 +84,17 @@ class Table:
         return max(scores, key=scores.get) if scores else None
 
 
-def _figure(values: list[float]) -> Figure:
+def figure_of(values: list[float]) -> Figure:
     spread = statistics.stdev(values) if len(values) > 1 else None
-    return Figure(statistics.mean(values), spread, len(values), min(values) > 0 or max(values) < 0)
+    return Figure(statistics.mean(values), spread, len(values))
 
 
 def number(figure: Figure | None, digits: int = 2) -> str:
     return "" if figure is None else figure.text(digits)
+
+
+def count(figure: Figure | None) -> str:
+    return "" if figure is None else f"{figure.mean:.0f}"
 
 
 def signed(figure: Figure | None) -> str:
