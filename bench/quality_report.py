@@ -8,9 +8,10 @@ import cv2
 from bench import quality_plots as plots
 from bench import quality_sections as sections
 from bench.quality_cases import BY_NAME
+from bench.quality_scenes import JPEG_QUALITY
 from bench.quality_table import Figure, Table, count, figure_of, markdown, number, percent, signed
 
-JPEG_QUALITY = 80
+PICTURE_QUALITY = 80
 PICTURES = ("ahead", "aside")  # held-out views of the synthetic set
 SHOWN = {"truth": "truth", "full": "full", "plain": "plain tuned"}  # their pictures, by column
 HEADLINE = ("full", "plain", "plain tuned", "plain tuned, equal time", "full, control's rates")
@@ -81,8 +82,8 @@ Made by `python -m bench.quality --report` from `bench/results/quality.jsonl`; n
   second compare with each other and are not the best a machine can do.
 - **How**: {table.steps} executed steps (less where it says so), at most 20,000 Gaussians (the `preview` preset), poses
   from our own structure estimation. `street` has the exact poses, `street-own` the same photos with our own; both are
-  synthetic, a drive of three cameras of which every 4th frame is kept. Photos are stored as JPEG of quality 95 at the
-  training size.
+  synthetic, three cameras on a vehicle, every 4th frame; `drive` is synthetic, one camera, every frame, exact poses.
+  Photos are stored as JPEG of quality {JPEG_QUALITY} at the training size.
 - **Judged** on every 8th photo, never trained on; {missing} held-out photos could not be placed and are not in the
   means. PSNR is the mean over held-out views, "worst" its lowest view. Up to {seeds} seeds; ± is the standard deviation
   over them.
@@ -139,14 +140,15 @@ def _ablations(table: Table, folder: Path) -> str:
         cases = [case for case in cases if any(table.difference(case, "full", name) for name in table.sets)]
         if not cases:
             continue
-        deep = [name for name in table.sets if table.figure("full", name, "depth_error")]
+        sets = [name for name in table.sets if any(table.difference(case, "full", name) for case in cases)]
+        deep = [name for name in sets if table.figure("full", name, "depth_error")]
         body = []
         for case in cases:
-            found = [table.difference(case, "full", name) for name in table.sets]
+            found = [table.difference(case, "full", name) for name in sets]
             depths = [table.difference(case, "full", name, "depth_error", relative=True) for name in deep]
             cells = [*map(signed, found), *(percent(figure, sign=True) for figure in depths)]
             body.append([case, BY_NAME[case].about, *cells, _summary(found)])
-        head = ["case", "what", *table.sets, *(f"depth error, {name}, %" for name in deep), "PSNR over the sets"]
+        head = ["case", "what", *sets, *(f"depth error, {name}, %" for name in deep), "PSNR over the sets"]
         text += ["", f"### {group}", PAPER.get(group, ""), "", markdown(head, body)]
     series = {}
     for name in table.sets:
@@ -169,7 +171,7 @@ def _pictures(source: Path, folder: Path) -> str:
             target = folder / f"street-{where}-{name}.jpg"
             if (source / f"{where}-{name}.png").is_file():
                 image = cv2.imread(str(source / f"{where}-{name}.png"))
-                cv2.imwrite(str(target), image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+                cv2.imwrite(str(target), image, [cv2.IMWRITE_JPEG_QUALITY, PICTURE_QUALITY])
             if target.is_file():
                 row.append(f"![{title}, {where}](pictures/{target.name})")
         body += [row] if len(row) == len(SHOWN) else []

@@ -143,20 +143,21 @@ def poses(table: Table) -> str:
 
 
 def exposure(table: Table) -> str:
-    name = "street"
-    cases = [c for c in ("full", "exposure disturbed", "exposure model") if table.has(c, name)]
-    if len(cases) < 2:
+    body = []
+    for name in table.sets:
+        for case, about in (
+            ("full", "constant exposure"),
+            ("exposure disturbed", "disturbed, no model"),
+            ("exposure model", "disturbed, affine model"),
+        ):
+            if not (table.has(case, name) and table.has("exposure disturbed", name)):
+                continue
+            lost = "" if case == "full" else signed(table.difference(case, "full", name))
+            fitted = number(table.figure(case, name, "psnr_fitted"))
+            body.append([name, about, number(table.figure(case, name, "psnr")), lost, fitted])
+    if not body:
         return ""
-    body = [
-        [
-            BY_NAME[case].about if case != "full" else "constant exposure",
-            number(table.figure(case, name, "psnr")),
-            signed(table.difference(case, "full", name)) if case != "full" else "",
-            number(table.figure(case, name, "psnr_fitted")),
-        ]
-        for case in cases
-    ]
-    head = ["street", "PSNR dB", "against constant", "exposure fitted on the left half, right half's PSNR"]
+    head = ["set", "training photos", "PSNR dB", "minus constant", "right half's PSNR, exposure fitted on the left"]
     return "\n".join([
         "## Exposure",
         "Training photos brighter or darker by up to a stop, each by its own amount; held-out photos as they were.",

@@ -50,7 +50,9 @@ class Table:
 
     @property
     def sets(self) -> list[str]:
-        return sorted({name for _, name, _ in self._cells}, key=lambda name: (name.startswith("street"), name))
+        return sorted(
+            {name for _, name, _ in self._cells}, key=lambda name: (name in ("drive", "street", "street-own"), name)
+        )
 
     def seeds(self, case: str, name: str) -> dict[int, dict]:
         return {seed: row for (c, n, seed), row in self._cells.items() if (c, n) == (case, name)}
