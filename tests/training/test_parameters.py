@@ -106,7 +106,9 @@ def test_sparse_adam_moves_the_rows_it_is_given_as_dense_adam_does_and_no_other(
         sparse.step(step, RATES, rows=rows)
     before, others = Parameters.from_splats(_splats()), torch.tensor([0, 2, 4])
     for name, value in sparse.values.items():
-        assert torch.equal(value[rows], dense.values[name][rows])
+        torch.testing.assert_close(
+            value[rows], dense.values[name][rows], rtol=1e-5, atol=1e-7
+        )  # vectors round otherwise
         assert torch.equal(value[others], before.values[name][others])
         assert not sparse.moments1[name][others].any()
-        assert torch.equal(sparse.moments2[name][rows], dense.moments2[name][rows])
+        torch.testing.assert_close(sparse.moments2[name][rows], dense.moments2[name][rows])
