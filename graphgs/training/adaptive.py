@@ -39,6 +39,7 @@ class AdaptiveControl:
         self._config, self._schedule, self._extent, self._seed = config, schedule, extent, seed
         self._threshold = config.densify_absgrad if config.absgrad else config.densify_gradient
         self._start = count
+        self._half_size: tuple[tuple[int, int], Tensor] | None = None  # of the last image, px; kept on the device
         self._pull = torch.zeros(count, device=device)  # sum of 2D gradient norms, NDC
         self._seen = torch.zeros(count, device=device)  # views that saw the Gaussian
 
@@ -55,8 +56,10 @@ class AdaptiveControl:
             return
         height, width = out.colors.shape[1:3]
         gradient = (out.means2d.absgrad if self._config.absgrad else out.means2d.grad)[0]  # [N, 2], 0 where not visible
-        half = torch.tensor([width / 2, height / 2], device=gradient.device)
-        self._pull += torch.linalg.vector_norm(gradient * half, dim=-1)
+        if self._half_size is None or self._half_size[0] != (width, height):
+            half = torch.tensor([width / 2, height / 2], device=gradient.device)
+            self._half_size = (width, height), half
+        self._pull += torch.linalg.vector_norm(gradient * self._half_size[1], dim=-1)
         self._seen += out.radii[0].amin(dim=-1) > 0
 
     @torch.no_grad()

@@ -23,12 +23,13 @@ class LossSampler:
         self._seed = seed
         self._losses = torch.full((len(self._views),), float("nan"), device=device)  # NaN: not seen yet
         even = np.ones(len(self._views))
-        self._probability = {0: even, 1: even}  # [V] by epoch: those that may still be asked for
+        # [V] rows of the views by epoch, of those epochs that may still be asked for
+        self._orders = {epoch: draw_epoch(even, seed, epoch) for epoch in (0, 1)}
 
     def view(self, step: int) -> int:
         """Index of the graph's node for a step of the running epoch, the one before, or the next."""
         epoch, within = divmod(step, len(self._views))
-        return int(self._views[draw_epoch(self._probability[epoch], self._seed, epoch)[within]])
+        return int(self._views[self._orders[epoch][within]])
 
     def note(self, node: int, step: int, loss: Tensor) -> None:
         """The photometric loss of an executed step, detached."""
@@ -38,22 +39,21 @@ class LossSampler:
             losses = self._losses.cpu().numpy().astype(np.float64)
             largest = np.nanmax(losses)
             share = np.nan_to_num(losses / largest, nan=1.0) if largest > 0.0 else np.ones_like(losses)
-            self._probability[epoch + 2] = LEAST + (1.0 - LEAST) * share
-            self._probability.pop(epoch - 1, None)
+            self._orders[epoch + 2] = draw_epoch(LEAST + (1.0 - LEAST) * share, self._seed, epoch + 2)
+            self._orders.pop(epoch - 1, None)
 
     @property
     def is_finite(self) -> bool:
         return True  # a loss that is not finite is noticed as such
 
     def state(self) -> dict[str, Tensor]:
-        epochs = sorted(self._probability)
+        epochs = sorted(self._orders)
         return {
             "losses": self._losses,
             "epochs": torch.tensor(epochs),
-            "probability": torch.from_numpy(np.stack([self._probability[epoch] for epoch in epochs])),
+            "orders": torch.from_numpy(np.stack([self._orders[epoch] for epoch in epochs])),
         }
 
     def load_state(self, state: dict[str, Tensor]) -> None:
         self._losses = state["losses"].to(self._losses.device)
-        rows = zip(state["epochs"].tolist(), state["probability"].cpu().numpy(), strict=True)
-        self._probability = {int(epoch): row for epoch, row in rows}
+        self._orders = dict(zip(state["epochs"].tolist(), state["orders"].cpu().numpy(), strict=True))

@@ -65,7 +65,7 @@ class Parameters:
             [state[2]],
             [state[3]],
             [],
-            [torch.tensor(float(step), device=value.device)],  # the update adds 1
+            [torch.full((), float(step), device=value.device)],  # made there, not sent; the update adds 1
             fused=True,
             amsgrad=False,
             beta1=BETAS[0],
