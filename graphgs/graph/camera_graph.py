@@ -3,11 +3,14 @@
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from graphgs.graph.edge_weight import WeightMode, best_partners, edge_weights
-from graphgs.graph.importance import betweenness
+from graphgs.graph.importance import betweenness, degree
+
+Measure = Literal["betweenness", "degree"]
 
 
 @dataclass(frozen=True)
@@ -67,12 +70,16 @@ class CameraGraph:
         usable = self._among_training & (self.inliers > 0)
         return best_partners(self.edges, self.edge_weights(mode), usable, len(self.names), count)
 
-    def importance(self) -> np.ndarray:
-        """[N] unweighted betweenness on the verified graph of training views, normalised as networkx does; 0 for test
-        views."""
-        return self._importance.copy()
+    def importance(self, measure: Measure = "betweenness") -> np.ndarray:
+        """[N] unweighted betweenness on the verified graph of training views, or their degree there, normalised as
+        networkx does; 0 for test views."""
+        if measure not in ("betweenness", "degree"):
+            raise ValueError(f"measure: expected 'betweenness' or 'degree', got {measure!r}")
+        return (self._betweenness if measure == "betweenness" else self._degree).copy()
 
-    def sampling_probability(self, minimum: float = 0.5, *, mode: WeightMode = "graphgs") -> np.ndarray:
+    def sampling_probability(
+        self, minimum: float = 0.5, *, mode: WeightMode = "graphgs", measure: Measure = "betweenness"
+    ) -> np.ndarray:
         """[N] how often a view is worth a step, in minimum..1, 0 for test views. With w the importance:
         `graphgs`: minimum + (1 - minimum) w / max w, which still ranks the views below `minimum`;
         `paper`: max(minimum, w / max w). 1 for all where max w is 0 (every view sees every other)."""
@@ -80,8 +87,9 @@ class CameraGraph:
             raise ValueError(f"mode: expected 'graphgs' or 'paper', got {mode!r}")
         if not 0.0 <= minimum <= 1.0:
             raise ValueError(f"minimum: expected 0..1, got {minimum}")
-        largest = self._importance.max(initial=0.0)
-        share = self._importance / largest if largest > 0 else np.ones(len(self.names))
+        importance = self.importance(measure)
+        largest = importance.max(initial=0.0)
+        share = importance / largest if largest > 0 else np.ones(len(self.names))
         probability = np.maximum(minimum, share) if mode == "paper" else minimum + (1.0 - minimum) * share
         return np.where(self.is_test, 0.0, probability)
 
@@ -103,10 +111,18 @@ class CameraGraph:
         return ~self.is_test[self.edges].any(1)
 
     @cached_property
-    def _importance(self) -> np.ndarray:
+    def _betweenness(self) -> np.ndarray:
+        return self._of_training_views(betweenness)
+
+    @cached_property
+    def _degree(self) -> np.ndarray:
+        return self._of_training_views(degree)
+
+    def _of_training_views(self, measure) -> np.ndarray:
+        """[N] of `measure(edges, n)` on the verified graph of training views, 0 elsewhere."""
         training = np.flatnonzero(~self.is_test)
         index = np.cumsum(~self.is_test) - 1
         used = self._among_training & (self.inliers > 0)
         values = np.zeros(len(self.names))
-        values[training] = betweenness(index[self.edges[used]], len(training))
+        values[training] = measure(index[self.edges[used]], len(training))
         return values

@@ -1,4 +1,4 @@
-"""How much of a graph's shortest paths run through a node: unweighted betweenness, normalised as networkx does."""
+"""How much a graph depends on a node: the share of shortest paths through it, or its degree; as networkx has them."""
 
 import numpy as np
 
@@ -20,3 +20,11 @@ def betweenness(
     graph.add_edges_from_no_data([(i, j) for i, j in edges.tolist()])
     values = rustworkx.graph_betweenness_centrality(graph, normalized=True, endpoints=False, parallel_threshold=n + 1)
     return np.array([values[node] for node in range(n)], np.float64)
+
+
+def degree(
+    edges: np.ndarray,  # [E, 2] int
+    n: int,  # nodes
+) -> np.ndarray:
+    """[N] share of the other nodes that a node is joined to, in 0..1."""
+    return np.bincount(edges.ravel(), minlength=n) / max(1, n - 1)

@@ -6,9 +6,11 @@ from typing import Literal
 
 import numpy as np
 
-from graphgs.graph.camera_graph import CameraGraph
+from graphgs.graph.camera_graph import CameraGraph, Measure
 
 _GOLDEN = 0.6180339887498949  # fractional steps of it fill 0..1 most evenly
+
+SamplerMode = Literal["graphgs", "paper", "affine", "uniform"]
 
 
 class ViewSampler:
@@ -20,6 +22,7 @@ class ViewSampler:
         epoch to epoch, so the fractions are made up for within a few.
     paper: as printed, draw uniformly and skip with probability 1 - max(minimum, P), until one is taken. Skipped draws
         are not steps; `acceptance` is the share of the paper's iterations that are executed.
+    affine: the paper's way of drawing, with the probabilities of graphgs.
     uniform: the control: every view once per epoch, shuffled.
     """
 
@@ -27,20 +30,22 @@ class ViewSampler:
         self,
         graph: CameraGraph,
         seed: int,
-        mode: Literal["graphgs", "paper", "uniform"] = "graphgs",
+        mode: SamplerMode = "graphgs",
         *,
         minimum: float = 0.5,
+        measure: Measure = "betweenness",  # what makes a view important
     ):
-        if mode not in ("graphgs", "paper", "uniform"):
-            raise ValueError(f"mode: expected 'graphgs', 'paper' or 'uniform', got {mode!r}")
+        if mode not in ("graphgs", "paper", "affine", "uniform"):
+            raise ValueError(f"mode: expected 'graphgs', 'paper', 'affine' or 'uniform', got {mode!r}")
         self._views = np.flatnonzero(~graph.is_test)
         if not len(self._views):
             raise ValueError("graph: expected at least one training view, got none")
-        self._seed, self._mode = seed & (2**64 - 1), mode
+        self._seed, self._mode = seed, mode
         if mode == "uniform":
             self._probability = np.ones(len(self._views))
         else:
-            self._probability = graph.sampling_probability(minimum, mode=mode)[self._views]
+            form = "paper" if mode == "paper" else "graphgs"
+            self._probability = graph.sampling_probability(minimum, mode=form, measure=measure)[self._views]
         if not self._probability.any():
             raise ValueError(f"minimum: no view could ever be drawn with {minimum}")
         self._epoch = lru_cache(maxsize=2)(self._draw_epoch)
@@ -54,25 +59,35 @@ class ViewSampler:
         """Index of the view for executed step 0, 1, 2, ..."""
         if step < 0:
             raise ValueError(f"step: expected 0 or more, got {step}")
-        if self._mode == "paper":
+        if self._mode in ("paper", "affine"):
             return self._draw_and_skip(step)
         epoch, within = divmod(step, len(self._views))
         return int(self._epoch(epoch)[within])
 
     def _draw_epoch(self, epoch: int) -> np.ndarray:
-        count = len(self._views)
-        offset = (self._generator(2**64 - 1).random() + epoch * _GOLDEN) % 1.0
-        summed = np.cumsum(self._probability)
-        teeth = (np.arange(count) + offset) * (summed[-1] / count)
-        chosen = np.minimum(np.searchsorted(summed, teeth, side="right"), count - 1)
-        return self._views[self._generator(epoch).permutation(chosen)]
+        return self._views[draw_epoch(self._probability, self._seed, epoch)]
 
     def _draw_and_skip(self, step: int) -> int:
-        rng = self._generator(step)
+        rng = _generator(self._seed, step)
         while True:
             drawn = rng.integers(len(self._views))
             if rng.random() < self._probability[drawn]:
                 return int(self._views[drawn])
 
-    def _generator(self, counter: int) -> np.random.Generator:
-        return np.random.Generator(np.random.Philox(key=np.array([self._seed, counter], np.uint64)))
+
+def draw_epoch(
+    probability: np.ndarray,  # [V] of each view, up to a factor
+    seed: int,
+    epoch: int,
+) -> np.ndarray:
+    """[V] int: the views of an epoch of V steps, each floor or ceil of its expected number of times."""
+    count = len(probability)
+    offset = (_generator(seed, 2**64 - 1).random() + epoch * _GOLDEN) % 1.0
+    summed = np.cumsum(probability)
+    teeth = (np.arange(count) + offset) * (summed[-1] / count)
+    chosen = np.minimum(np.searchsorted(summed, teeth, side="right"), count - 1)
+    return _generator(seed, epoch).permutation(chosen)
+
+
+def _generator(seed: int, counter: int) -> np.random.Generator:
+    return np.random.Generator(np.random.Philox(key=np.array([seed & (2**64 - 1), counter], np.uint64)))

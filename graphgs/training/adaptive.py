@@ -33,10 +33,13 @@ class AdaptiveControl:
         seed: int,
         count: int,  # Gaussians at the start
         device: str,
+        middle: Tensor | None = None,  # [3] world: with a far sphere around it, Gaussians may grow with the distance
     ):
+        self._middle = middle
         self._config, self._schedule, self._extent, self._seed = config, schedule, extent, seed
         self._threshold = config.densify_absgrad if config.absgrad else config.densify_gradient
         self._start = count
+        self._half_size: tuple[tuple[int, int], Tensor] | None = None  # of the last image, px; kept on the device
         self._pull = torch.zeros(count, device=device)  # sum of 2D gradient norms, NDC
         self._seen = torch.zeros(count, device=device)  # views that saw the Gaussian
 
@@ -53,8 +56,10 @@ class AdaptiveControl:
             return
         height, width = out.colors.shape[1:3]
         gradient = (out.means2d.absgrad if self._config.absgrad else out.means2d.grad)[0]  # [N, 2], 0 where not visible
-        half = torch.tensor([width / 2, height / 2], device=gradient.device)
-        self._pull += torch.linalg.vector_norm(gradient * half, dim=-1)
+        if self._half_size is None or self._half_size[0] != (width, height):
+            half = torch.tensor([width / 2, height / 2], device=gradient.device)
+            self._half_size = (width, height), half
+        self._pull += torch.linalg.vector_norm(gradient * self._half_size[1], dim=-1)
         self._seen += out.radii[0].amin(dim=-1) > 0
 
     @torch.no_grad()
@@ -82,7 +87,7 @@ class AdaptiveControl:
 
     def _round(self, step: int, parameters: Parameters) -> None:
         config = self._config
-        sizes = parameters.values["log_scales"].detach().amax(dim=-1).exp() / self._extent
+        sizes = parameters.values["log_scales"].detach().amax(dim=-1).exp() / self._lengths(parameters)
         pruned = parameters.values["logit_opacities"].detach() < _logit(config.prune_opacity)
         if self._schedule.prunes_large(step):
             pruned |= sizes > config.prune_scale
@@ -102,6 +107,13 @@ class AdaptiveControl:
         parameters.rebuild(kept, {name: torch.cat([added[name], halves[name]]) for name in added})
         self._pull = torch.zeros(len(parameters), device=self._pull.device)
         self._seen = torch.zeros_like(self._pull)
+
+    def _lengths(self, parameters: Parameters) -> float | Tensor:
+        """What sizes are relative to: the scene's extent or, beyond it, the distance from its middle ([N])."""
+        if self._middle is None:
+            return self._extent
+        distances = torch.linalg.vector_norm(parameters.values["means"].detach() - self._middle, dim=-1)
+        return distances.clamp(min=self._extent)
 
 
 def _strongest(candidates: Tensor, pull: Tensor, room: int) -> Tensor:

@@ -16,8 +16,11 @@ class TrainConfig:
     """Hard limit on the number of Gaussians; never exceeded."""
     ssim_weight: float = 0.2
     """Share of 1 - SSIM in the photometric loss; the rest is L1."""
-    sampling: Literal["graphgs", "paper", "uniform"] = "graphgs"
-    """How views are drawn: in proportion to importance, by skipping (the printed form), or evenly."""
+    sampling: Literal["graphgs", "paper", "affine", "uniform", "loss"] = "graphgs"
+    """How views are drawn: in proportion to importance, by skipping (as printed; or with the probabilities of graphgs),
+    evenly, or in proportion to how badly they are explained so far."""
+    importance: Literal["betweenness", "degree"] = "betweenness"
+    """What makes a view of the camera graph important."""
 
     # Speed of learning
     warm_up_fraction: float = 0.0
@@ -28,6 +31,8 @@ class TrainConfig:
     """What "hardly" means, as a share of the loss."""
 
     # Learning rates, per step of Adam
+    sparse_adam: bool = False
+    """Update only what the step's view saw (Taming 3DGS, Mallick et al. 2024); the rest keeps its momentum."""
     means_rate: float = 1.6e-4
     """Centres, in units of the scene extent, at the first step."""
     means_rate_final: float = 1.6e-6
@@ -112,6 +117,8 @@ class TrainConfig:
     """Reprojection by rendered depth, the printed depth-free form, or off."""
     consistency_source: Literal["render", "truth", "both"] = "render"
     """What the other view is: its render (the paper's reading), its photo, or both in turn."""
+    consistency_target: Literal["max", "sampled", "random"] = "max"
+    """The other view: the edge of largest weight, one of the three largest, or any verified neighbour (a control)."""
     lambda_consistency: float = 0.07
     """Weight of the consistency loss (GraphGS, Cheng et al. 2025)."""
     consistency_from_fraction: float = 0.5
@@ -119,7 +126,15 @@ class TrainConfig:
     consistency_interval: int = 4
     """Ours: every n-th step carries it, as each needs a second render."""
 
-    # Real-world nuisances
+    # Real-world nuisances (docs/decisions/0028-sky-and-passers-by.md)
+    sky: Literal["none", "sphere"] = "none"
+    """sphere: start with Gaussians on a far sphere, too, wherever a photo looks past all sparse points."""
+    sky_points: int = 2000
+    """On the whole sphere; what is seen of it is kept."""
+    robust_share: float = 0.0
+    """Largest share of a photo that may be left out of the loss because it fits worst, as passers-by do; 0 = none."""
+    robust_from_fraction: float = 0.3
+    """Share of the run before anything is left out: at first, everything fits badly."""
     exposure: Literal["none", "affine"] = "none"
     """An affine colour transform per training photo, for cameras that choose their exposure anew for every photo."""
     exposure_rate: float = 0.05

@@ -11,21 +11,26 @@ from graphgs.losses import consistency_loss
 from graphgs.rendering import RenderOutput
 from graphgs.scene.views import Views
 from graphgs.training.config import TrainConfig
+from graphgs.training.draws import drawn_index
+
+SAMPLED = 3  # best targets that "sampled" draws among
 
 
 class ConsistencyTerm:
     """Compares the render of view i, warped by its depth, with its target j (METHOD 6). Raises ValueError when a test
     view would take part on either side."""
 
-    def __init__(self, config: TrainConfig, views: Views, graph: CameraGraph, *, device: str):
-        self._config, self._views = config, views
+    def __init__(self, config: TrainConfig, views: Views, graph: CameraGraph, *, device: str, seed: int = 0):
+        self._config, self._seed = config, seed
         self._Ks = torch.as_tensor(views.Ks, dtype=torch.float32, device=device)
         self._device = device
-        self._targets = target_views(views, graph, mode=config.consistency)
+        count = {"max": 1, "sampled": SAMPLED, "random": len(graph.names)}[config.consistency_target]
+        self._targets = target_views(views, graph, mode=config.consistency, count=count)
 
     def loss(
         self,
         i: int,  # the view that was rendered
+        step: int,
         out: RenderOutput,  # its render, with gradients
         mask: Tensor | None,  # [1, H, W, 1] of photo i
         *,
@@ -35,8 +40,7 @@ class ConsistencyTerm:
         photo: Callable[[int], tuple[Tensor, Tensor | None]],  # photo and mask of a view
     ) -> Tensor | None:
         """The unweighted loss, or None for a view without a target."""
-        j = self._targets.get(i)
-        if j is None:
+        if (j := self.target(i, step)) is None:
             return None
         cam_j_from_cam_i = viewmats[j] @ np.linalg.inv(viewmats[i])
         geometry = (
@@ -60,6 +64,12 @@ class ConsistencyTerm:
             )
         return losses[0] if len(losses) == 1 else (losses[0] + losses[1]) / 2
 
+    def target(self, i: int, step: int) -> int | None:
+        """The view that view i is compared with in this step; a function of the seed and the step."""
+        if not (targets := self._targets.get(i)):
+            return None
+        return targets[0] if len(targets) == 1 else targets[drawn_index(len(targets), self._seed, step)]
+
     def _sources(self, rendered: Tensor, truth: Tensor | None, truth_mask: Tensor | None):
         source = self._config.consistency_source
         if source in ("render", "both"):
@@ -68,16 +78,17 @@ class ConsistencyTerm:
             yield truth, truth_mask
 
 
-def target_views(views: Views, graph: CameraGraph, *, mode: str) -> dict[int, int]:
-    """View index of the target camera by view index, where there is one. Views and graph agree by name."""
+def target_views(views: Views, graph: CameraGraph, *, mode: str, count: int = 1) -> dict[int, tuple[int, ...]]:
+    """View indices of the best target cameras, at most `count`, best first, by view index, where there are any. Views
+    and graph agree by name."""
     index = {name: k for k, name in enumerate(views.names)}
-    targets = graph.targets(mode=mode)
-    pairs = {
-        index[graph.names[i]]: index[graph.names[int(j)]]
-        for i, j in enumerate(targets)
-        if j >= 0 and not graph.is_test[i] and graph.names[i] in index and graph.names[int(j)] in index
-    }
-    tested = [views.names[k] for pair in pairs.items() for k in pair if views.is_test[k]]
+    view_of_node = [-1 if graph.is_test[i] else index.get(name, -1) for i, name in enumerate(graph.names)]
+    targets = {}
+    for i, row in enumerate(graph.top_targets(count, mode).tolist()):
+        partners = tuple(index[graph.names[j]] for j in row if j >= 0 and graph.names[j] in index)
+        if view_of_node[i] >= 0 and partners:
+            targets[view_of_node[i]] = partners
+    tested = [views.names[k] for i, partners in targets.items() for k in (i, *partners) if views.is_test[k]]
     if tested:
         raise ValueError(f"graph: test view {tested[0]} would enter the consistency loss")
-    return pairs
+    return targets

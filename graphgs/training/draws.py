@@ -20,3 +20,8 @@ def draw_rows(
     rows = torch.searchsorted(summed, shots, right=True)
     last = int(torch.nonzero(weights)[-1, 0])  # a shot may round up to the sum: never past the last row with weight
     return rows.clamp_(max=last).to(weights.device)
+
+
+def drawn_index(count: int, seed: int, step: int) -> int:
+    """One of 0 .. count - 1, all alike."""
+    return int(torch.randint(count, (1,), generator=generator_of(seed, step)))

@@ -26,6 +26,7 @@ from graphgs.training.config import TrainConfig
 from graphgs.training.extent import scene_extent
 from graphgs.training.near import near_depths
 from graphgs.training.plateau import has_settled
+from graphgs.training.sky import with_sky
 from graphgs.training.stats import TrainStats
 from graphgs.training.trained import Trained
 from graphgs.training.trainer import Trainer
@@ -61,8 +62,14 @@ def train(
         raise DataError("training: no view is left to train on", hint="at least one photo must not be a test view")
     _check_cameras(views)
     with _threads(threads), _deferred_interrupt() as interrupted:
-        initial = _initial(config, points, device=device, reporter=reporter)
         extent = scene_extent(views.centers[~views.is_test], points.positions)
+        start = points
+        if config.sky == "sphere":
+            start = with_sky(
+                points, views, count=config.sky_points, extent=extent, budget_bytes=config.image_cache_bytes
+            )
+            reporter.event("sky", gaussians=len(start.positions) - len(points.positions))
+        initial = _initial(config, start, device=device, reporter=reporter)
         depths = near_depths(views, points.positions)
         trainer = Trainer(config, views, graph, initial, extent=extent, near_depths=depths, device=device, seed=seed)
         try:
@@ -212,8 +219,14 @@ def _fingerprint(config: TrainConfig, views: Views, graph: CameraGraph, initial:
     settings = {k: v for k, v in dataclasses.asdict(config).items() if k not in RUNNING}
     plain = [VERSION, settings, seed, torch.device(device).type, views.names, views.images, graph.names]
     digest = hashlib.sha256(json.dumps(plain).encode())
-    arrays = [views.sizes, views.Ks, views.viewmats, views.is_test, graph.sampling_probability()]
-    arrays += [graph.targets(mode=config.consistency)] if config.consistency != "none" else []
+    arrays = [
+        views.sizes,
+        views.Ks,
+        views.viewmats,
+        views.is_test,
+        graph.sampling_probability(measure=config.importance),
+    ]
+    arrays += [graph.targets(mode=config.consistency), graph.edges] if config.consistency != "none" else []
     arrays += [tensor.cpu().numpy() for tensor in (initial.means, initial.log_scales, initial.sh_coeffs)]
     for array in arrays:
         digest.update(np.ascontiguousarray(array).tobytes())

@@ -22,6 +22,7 @@ class Schedule:
         self._relocate_until = round(config.mcmc_until_fraction * steps)
         self.consistency_from = round(config.consistency_from_fraction * steps)
         self._warm_up_until = round(config.warm_up_fraction * steps)
+        self._robust_from = round(config.robust_from_fraction * steps)
         self._floater_checks = {round(share * steps) for share in FLOATER_CHECKS}
 
     def rates(self, step: int, *, extent: float) -> dict[str, float]:
@@ -62,6 +63,8 @@ class Schedule:
         parts = [self._warm_up_until, rounds, self._config.sh_degree * self._sh_interval]
         if self._config.consistency != "none" and self._config.lambda_consistency > 0.0:
             parts.append(self.consistency_from)
+        if self._config.robust_share > 0.0:
+            parts.append(self._robust_from)
         if self._config.prune_near or self._config.prune_unconfirmed:
             parts.append(max(self._floater_checks))
         return max(parts)
@@ -95,6 +98,9 @@ class Schedule:
     def prunes_large(self, step: int) -> bool:
         """3DGS removes oversized Gaussians once opacities have been reset."""
         return step + 1 > self._config.opacity_reset_interval
+
+    def leaves_out_misfits(self, step: int) -> bool:
+        return self._config.robust_share > 0.0 and step >= self._robust_from
 
     def has_consistency(self, step: int) -> bool:
         config = self._config

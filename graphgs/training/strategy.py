@@ -46,7 +46,9 @@ def make_strategy(
     seed: int,
     count: int,  # Gaussians at the start
     device: str,
+    middle: Tensor | None = None,  # [3] world, of the cameras; given if a far sphere lies around the scene
 ) -> Strategy:
     """The strategy that `config.strategy` names."""
-    chosen = {"adaptive": AdaptiveControl, "mcmc": MarkovChain}[config.strategy]
-    return chosen(config, schedule, extent=extent, seed=seed, count=count, device=device)
+    if config.strategy == "mcmc":
+        return MarkovChain(config, schedule, extent=extent, seed=seed, count=count, device=device)
+    return AdaptiveControl(config, schedule, extent=extent, seed=seed, count=count, device=device, middle=middle)

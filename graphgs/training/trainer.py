@@ -17,11 +17,14 @@ from graphgs.training.consistency import ConsistencyTerm
 from graphgs.training.exposure import Exposure
 from graphgs.training.floaters import FloaterFinder
 from graphgs.training.images import TrainingImages
+from graphgs.training.loss_sampling import LossSampler
 from graphgs.training.near import scene_near
 from graphgs.training.parameters import Parameters
 from graphgs.training.pose_refinement import PoseRefinement
 from graphgs.training.regularisation import Regularisation
+from graphgs.training.robust import fitting_pixels
 from graphgs.training.schedule import Schedule
+from graphgs.training.sky import scene_middle
 from graphgs.training.strategy import Strategy, make_strategy
 from graphgs.training.warm_up import reduce_camera, reduce_photo, reduction_of
 
@@ -51,8 +54,11 @@ class Trainer:
         self.recoveries = 0
         self.between_steps = True  # False while a step is half applied
         self.parameters = Parameters.from_splats(initial)
+        middle = None
+        if config.sky != "none":
+            middle = torch.as_tensor(scene_middle(views), dtype=torch.float32, device=device)
         self.strategy: Strategy = make_strategy(
-            config, self.schedule, extent=extent, seed=seed, count=len(initial), device=device
+            config, self.schedule, extent=extent, seed=seed, count=len(initial), device=device, middle=middle
         )
         self._extent = extent
         self._near_depths = np.full(len(views.names), np.nan) if near_depths is None else near_depths
@@ -66,12 +72,12 @@ class Trainer:
             self._poses = PoseRefinement(config, views.viewmats, views.is_test, extent=extent, device=device)
         index = {name: k for k, name in enumerate(views.names)}
         self._view_of_node = np.array([index.get(name, -1) for name in graph.names])
-        self._sampler = ViewSampler(graph, seed=seed, mode=config.sampling)
+        self._sampler = _sampler(config, graph, seed=seed, device=device)
         self._images = TrainingImages(
             views, budget_bytes=config.image_cache_bytes, view_of_step=self.view_of_step, device=device
         )
         self._consistency = (
-            None if config.consistency == "none" else ConsistencyTerm(config, views, graph, device=device)
+            None if config.consistency == "none" else ConsistencyTerm(config, views, graph, device=device, seed=seed)
         )
 
     def view_of_step(self, step: int) -> int:
@@ -91,7 +97,9 @@ class Trainer:
             self.parameters.clear_gradients()
             loss, out = self._gradients(step)
         self.strategy.after_backward(step, out)
-        self.parameters.step(step, self._rates(step))
+        self.parameters.step(step, self._rates(step), rows=self._updated_rows(out))
+        if isinstance(self._sampler, LossSampler):
+            self._sampler.note(self._sampler.view(step), step, loss)
         for fit in self._fits.values():
             fit.step(self.view_of_step(step), step, self._caution)
         self.strategy.after_step(step, self.parameters)
@@ -111,6 +119,8 @@ class Trainer:
         viewmat = self._viewmat(view, fitted_in=step)
         out = self._render(view, gaussians, degree, viewmat, factor=factor, absgrad=absgrad)
         colors = out.colors if self._exposure is None else self._exposure.apply(view, out.colors)
+        if self.schedule.leaves_out_misfits(step):
+            mask = fitting_pixels(colors, photo, mask, share=self.config.robust_share)
         loss = photometric_loss(colors, photo, mask, ssim_weight=self.config.ssim_weight)
         if self._exposure is not None:
             loss = loss + self._exposure.penalty()
@@ -118,6 +128,7 @@ class Trainer:
             detached = [tensor.detach() for tensor in gaussians]
             extra = self._consistency.loss(
                 view,
+                step,
                 out,
                 mask,
                 viewmats=self.viewmats,
@@ -156,15 +167,14 @@ class Trainer:
         return finite and bool(torch.isfinite(cameras)) and _have_extent(self.parameters)
 
     def state(self) -> dict[str, Tensor]:
-        parts = {"strategy": self.strategy, **self._fits}
-        nested = {f"{part}.{k}": v for part, owner in parts.items() for k, v in owner.state().items()}
+        nested = {f"{part}.{k}": v for part, owner in self._parts.items() for k, v in owner.state().items()}
         return self.parameters.state() | nested
 
     def restore(self, done: int, state: dict[str, Tensor]) -> None:
         """Go on from `done` executed steps."""
         self.done = done
         self.parameters = Parameters.from_state(state, self.device)
-        for part, owner in {"strategy": self.strategy, **self._fits}.items():
+        for part, owner in self._parts.items():
             owner.load_state({k.removeprefix(f"{part}."): v for k, v in state.items() if k.startswith(f"{part}.")})
         self.between_steps = True
 
@@ -175,6 +185,16 @@ class Trainer:
     def _fits(self) -> dict[str, Exposure | PoseRefinement]:
         """What is fitted to every training view."""
         return {name: fit for name, fit in (("exposure", self._exposure), ("poses", self._poses)) if fit is not None}
+
+    @property
+    def _parts(self) -> dict[str, Strategy | Exposure | PoseRefinement | LossSampler]:
+        """What has a state of its own in a checkpoint."""
+        sampler = {"sampler": self._sampler} if isinstance(self._sampler, LossSampler) else {}
+        return {"strategy": self.strategy, **self._fits, **sampler}
+
+    def _updated_rows(self, out: RenderOutput) -> Tensor | None:
+        """[M] int64: the Gaussians that the step's view saw, if the rest stays; None is all."""
+        return torch.nonzero(out.radii[0].amin(dim=-1) > 0)[:, 0] if self.config.sparse_adam else None
 
     @property
     def _caution(self) -> float:
@@ -246,6 +266,12 @@ class Trainer:
 
     def _rates(self, step: int) -> dict[str, float]:
         return {name: self._caution * rate for name, rate in self.schedule.rates(step, extent=self._extent).items()}
+
+
+def _sampler(config: TrainConfig, graph: CameraGraph, *, seed: int, device: str) -> ViewSampler | LossSampler:
+    if config.sampling == "loss":
+        return LossSampler(graph, seed=seed, device=device)
+    return ViewSampler(graph, seed=seed, mode=config.sampling, measure=config.importance)
 
 
 def _have_extent(parameters: Parameters) -> bool:

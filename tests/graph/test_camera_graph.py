@@ -152,6 +152,13 @@ def test_importance_equals_networkx(seed, rig):
         np.testing.assert_allclose(graph.importance(), reference.importance(graph), rtol=1e-12, atol=1e-15)
 
 
+def test_degree_equals_networkx(rig):
+    for graph in (_random_graph(seed=1), rig):
+        np.testing.assert_allclose(graph.importance("degree"), reference.degree(graph), rtol=1e-12, atol=0)
+    with pytest.raises(ValueError, match="measure"):
+        rig.importance("fame")
+
+
 def test_sampling_probability_in_both_forms():
     graph = _random_graph()
     share = graph.importance() / graph.importance().max()

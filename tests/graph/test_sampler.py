@@ -5,7 +5,7 @@ import pytest
 
 from graphgs.graph import CameraGraph, ViewSampler
 
-MODES = ("graphgs", "paper", "uniform")
+MODES = ("graphgs", "paper", "affine", "uniform")
 
 
 def _path_graph(n: int = 33, test_every: int = 8) -> CameraGraph:
@@ -34,10 +34,10 @@ def test_views_come_in_proportion_and_never_a_test_view(mode):
     epochs = 300
     counts = np.bincount([sampler.view(s) for s in range(epochs * len(training))], minlength=33)
     assert (counts[graph.is_test] == 0).all()
-    p = np.ones(33) if mode == "uniform" else graph.sampling_probability(mode=mode)
+    p = np.ones(33) if mode == "uniform" else graph.sampling_probability(mode="paper" if mode == "paper" else "graphgs")
     expected = epochs * len(training) * p[training] / p[training].sum()
-    # systematic draws are exact to a few; the paper's are independent: 5 standard deviations
-    tolerance = 5 * np.sqrt(expected) if mode == "paper" else 3.0
+    # systematic draws are exact to a few; those that skip are independent: 5 standard deviations
+    tolerance = 5 * np.sqrt(expected) if mode in ("paper", "affine") else 3.0
     assert (np.abs(counts[training] - expected) <= tolerance).all()
 
 
@@ -68,6 +68,14 @@ def test_acceptance_is_the_share_of_iterations_the_paper_executes():
     p = graph.sampling_probability(mode="paper")[~graph.is_test]
     assert ViewSampler(graph, 0, "paper").acceptance == pytest.approx(p.mean())
     assert ViewSampler(graph, 0, "uniform").acceptance == 1.0
+
+
+def test_views_may_be_important_by_degree():
+    graph = _path_graph()
+    training = np.flatnonzero(~graph.is_test)
+    drawn = np.bincount([ViewSampler(graph, 0, measure="degree").view(s) for s in range(50 * len(training))])
+    p = graph.sampling_probability(measure="degree")[training]
+    assert np.abs(drawn[training] - 50 * len(training) * p / p.sum()).max() <= 3
 
 
 def test_nothing_to_draw_is_refused():

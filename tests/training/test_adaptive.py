@@ -179,3 +179,16 @@ def test_state_carries_the_statistics():
     twin.load_state(strategy.state())
     twin.after_step(ROUND, parameters)
     assert len(parameters) == 3
+
+
+def test_around_a_far_sphere_gaussians_may_grow_with_the_distance():
+    """Sizes of 0.3 extents: removed in the scene, and, 5 extents away, only if there is no such sphere."""
+    kept = {}
+    for name, middle in (("none", None), ("sphere", torch.zeros(3))):
+        strategy, parameters = _setting([0.3, 0.3, SMALL], [0.5] * 3)
+        strategy._middle = middle
+        with torch.no_grad():
+            parameters.values["means"][1, 1] = 5.0 * EXTENT
+        strategy.after_step(ROUND, parameters)
+        kept[name] = sorted(parameters.values["means"][:, 0].tolist())
+    assert kept == {"none": [20.0], "sphere": [10.0, 20.0]}

@@ -13,12 +13,17 @@ from tests.support.tiny_scene import TinyScene, tiny_scene
 
 EVERYTHING = TrainConfig(
     steps=40,
+    sampling="loss",
     consistency_source="both",
+    consistency_target="random",
     consistency_from_fraction=0.0,
     consistency_interval=1,
     exposure="affine",
     refine_poses=True,
     poses_from_fraction=0.1,
+    sky="sphere",
+    robust_share=0.1,
+    robust_from_fraction=0.2,
 )
 
 

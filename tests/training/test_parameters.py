@@ -92,3 +92,23 @@ def test_values_that_are_not_finite_are_seen():
     with torch.no_grad():
         parameters.values["sh_coeffs"][2, 3, 1] = float("inf")
     assert not parameters.is_finite
+
+
+def test_sparse_adam_moves_the_rows_it_is_given_as_dense_adam_does_and_no_other():
+    dense, sparse = (Parameters.from_splats(_splats()) for _ in range(2))
+    rows = torch.tensor([1, 3])
+    for step in range(3):
+        for parameters in (dense, sparse):
+            generator = torch.Generator().manual_seed(step)
+            for value in parameters.values.values():
+                value.grad = torch.randn(value.shape, generator=generator)
+        dense.step(step, RATES)
+        sparse.step(step, RATES, rows=rows)
+    before, others = Parameters.from_splats(_splats()), torch.tensor([0, 2, 4])
+    for name, value in sparse.values.items():
+        torch.testing.assert_close(
+            value[rows], dense.values[name][rows], rtol=1e-5, atol=1e-7
+        )  # vectors round otherwise
+        assert torch.equal(value[others], before.values[name][others])
+        assert not sparse.moments1[name][others].any()
+        torch.testing.assert_close(sparse.moments2[name][rows], dense.moments2[name][rows])

@@ -191,8 +191,8 @@ def test_no_test_view_is_ever_read_or_rendered(scene, tmp_path, monkeypatch, sou
 
 def test_a_test_view_as_target_is_refused(scene, tmp_path):
     class Leaking(type(scene.graph)):
-        def targets(self, *args, **kwargs):
-            return np.zeros(len(self.names), dtype=np.int64)  # view 0 is a test view
+        def top_targets(self, *args, **kwargs):
+            return np.zeros((len(self.names), 1), dtype=np.int64)  # view 0 is a test view
 
     graph = Leaking(**{f.name: getattr(scene.graph, f.name) for f in dataclasses.fields(scene.graph)})
     with pytest.raises(ValueError, match=r"test view 00\.png"):

@@ -50,3 +50,16 @@ def importance(graph) -> np.ndarray:
     )
     values = nx.betweenness_centrality(training, normalized=True, endpoints=False)
     return np.array([values.get(i, 0.0) for i in range(len(graph.names))])
+
+
+def degree(graph) -> np.ndarray:
+    """[N] networkx's degree centrality of the verified graph of training views, 0 for test views."""
+    training = nx.Graph()
+    training.add_nodes_from(np.flatnonzero(~graph.is_test).tolist())
+    for (i, j), inliers in zip(graph.edges.tolist(), graph.inliers, strict=True):
+        if inliers > 0 and not graph.is_test[i] and not graph.is_test[j]:
+            training.add_edge(i, j)
+    values = np.zeros(len(graph.names))
+    for node, value in nx.degree_centrality(training).items():
+        values[node] = value
+    return values
