@@ -104,6 +104,13 @@ CASES = (
     Case("mcmc", "densification by sampling (3DGS as MCMC)", {"strategy": "mcmc"}, order=2),
     Case("absgrad", "absolute gradients (AbsGS)", {"absgrad": True}, order=2),
     Case("revised opacity", "halves of a split share the opacity", {"revised_opacity": True}, order=2),
+    # Floaters, sky, passers-by, speed
+    Case("sky sphere", "Gaussians on a far sphere from the start", {"sky": "sphere"}, order=1.5),
+    Case("robust .1", "up to a tenth of a photo left out", {"robust_share": 0.1}, order=1.5),
+    Case("prune near", "without Gaussians close before a camera", {"prune_near": True}, order=1.5),
+    Case("prune unconfirmed", "without what one view sees alone", {"prune_unconfirmed": True}, order=1.5),
+    Case("warm-up .3", "on smaller photos for .3 of the run", {"warm_up_fraction": 0.3}, order=1.5),
+    Case("sparse Adam", "updating what the view saw", {"sparse_adam": True}, order=1.5),
     # Poses
     Case("no filter", "all concentric pairs matched", sets=("fox", "street-own"), scene="unfiltered"),
     Case("no CNNP", "sequential pairs in place of concentric ones", sets=("fox", "street-own"), scene="sequential"),

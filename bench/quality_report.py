@@ -26,6 +26,9 @@ GROUPS = {
     ),
     "Initial points": ("all points", "octree .4", "random .4"),
     "Densification": ("mcmc", "absgrad", "revised opacity"),
+    "Floaters, sky, passers-by, speed": (
+        "sky sphere", "robust .1", "prune near", "prune unconfirmed", "warm-up .3", "sparse Adam",
+    ),
 }  # fmt: skip
 
 PAPER = {  # what the method's paper (GraphGS, ICLR 2025) prints, on Waymo
