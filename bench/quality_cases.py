@@ -66,17 +66,17 @@ def _grid() -> list[Case]:
 CASES = (
     Case(
         "full", "the default: consistency, sampling by importance, pruned points",
-        order=0, per_seed=0.4, sets=(*MAIN, "drive"),
+        order=0, per_seed=0.2, sets=(*MAIN, "drive"),
     ),
     Case("plain", "control: the same trainer without consistency, sampling and octree", PLAIN, order=0, points="all"),
     *_grid(),
     Case(
-        "plain tuned", "control with its learning rates tuned on this set", PLAIN, order=0.5, per_seed=0.4,
+        "plain tuned", "control with its learning rates tuned on this set", PLAIN, order=0.5, per_seed=0.2,
         points="all", tuned=True,
     ),
     Case(
         "plain tuned, equal time", "the tuned control for as long as the full method takes", PLAIN,
-        order=0.6, per_seed=0.4, points="all", tuned=True, time_of="full",
+        order=0.6, per_seed=0.2, points="all", tuned=True, time_of="full",
     ),
     Case("full, control's rates", "the full method with the tuned control's rates", tuned=True),
     # Consistency
