@@ -12,6 +12,7 @@ from graphgs.kernels import reduce
 from graphgs.kernels.rasterize import (
     gpu_backward,
     gpu_forward,
+    gpu_gather,
     gpu_lists,
     intersections,
     ordered_sum,
@@ -53,8 +54,9 @@ KERNELS = {
     "emit_keys": GpuKernel(gpu_lists.emit_keys),
     "find_ranges": GpuKernel(gpu_lists.find_ranges),
     "gpu_forward": GpuKernel(gpu_forward.gpu_forward_kernel(CHANNELS)),
-    "gpu_backward": GpuKernel(gpu_backward.gpu_backward_kernel(CHANNELS)),
-    "gather_splats": GpuKernel(gpu_backward.gather_splats_kernel(CHANNELS)),
+    "gpu_backward": GpuKernel(gpu_backward.gpu_backward_kernel(CHANNELS, False)),
+    "gpu_backward_absolute": GpuKernel(gpu_backward.gpu_backward_kernel(CHANNELS, True)),
+    "gather_splats": GpuKernel(gpu_gather.gather_splats_kernel(CHANNELS, False)),
     "sum_chunk": GpuKernel(ordered_sum.sum_chunk_kernel(wp.types.vector(16, wp.float32))),
     # losses
     "compare_blocks": GpuKernel(ssim_blocks.compare_blocks),

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from graphgs.kernels.launch import launch_blocks
+from graphgs.kernels.arrays import carve
+from graphgs.kernels.launch import launch, launch_blocks
 from graphgs.kernels.rasterize.buffers import Frame, Image, Splats, or_empty
 from graphgs.kernels.rasterize.gpu_backward import gpu_backward_kernel, row_size
 from graphgs.kernels.rasterize.gpu_forward import gpu_forward_kernel
@@ -45,8 +46,8 @@ def composite_gpu(
     device = splats.depths.device
     room = shared_room(device) if room is None else room
     lists = list_tiles(splats, radii, frame, room, exact=exact)
-    color_sums = wp.empty(image.alphas.size, dtype=image.colors.dtype, device=device)
-    tile_stops = wp.empty(lists.tile_ranges.size, dtype=int, device=device)
+    pixels, tiles = image.alphas.size, lists.tile_ranges.size
+    color_sums, tile_stops = carve(device, (image.colors.dtype, pixels), (int, tiles))
     launch_blocks(
         gpu_forward_kernel(splats.colors.dtype._length_),
         lists.tile_ranges.size,
@@ -114,9 +115,9 @@ def composite_gpu_backward(
         outputs=[splat_sums],
         device=device,
     )
-    wp.launch(
+    launch(
         gather_splats_kernel(channels, absolute),
-        dim=splats.depths.size * int(SHARERS),
+        splats.depths.size * int(SHARERS),
         inputs=[lists.order, lists.slot_ends, splats.conics, splats.opacities, splat_sums],
         outputs=[
             v_splats.means2d,

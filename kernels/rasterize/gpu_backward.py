@@ -15,12 +15,12 @@ from functools import cache
 import warp as wp
 
 from graphgs.kernels.rasterize.gpu_forward import tile_corner
-from graphgs.kernels.rasterize.warps import warps
+from graphgs.kernels.rasterize.warps import THREADS, warps
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
 COLOR = 7  # where the colour begins among the sums
-ROW_BYTES = 10_240  # of shared memory for the rows of a batch: three blocks then fit an SM of sm_86
+ROW_BYTES = 9_216  # of shared memory for the rows of a batch: three blocks then fit an SM of sm_86
 
 
 def row_size(channels: int, absolute: bool) -> int:
@@ -47,8 +47,7 @@ _BODY = """
     alignas(16) WARP_SHARED float pixels[256 * pixel_stride];  // cotangents of colour (if near) and depth
     alignas(16) WARP_SHARED Share shares[8][held_most * 32];  // by warp, splat and pixel
     WARP_SHARED float rows[8][batch * row];  // by warp and splat
-    WARP_SHARED float held_median[8][held_most];
-    WARP_SHARED int held_splat[8][held_most], batch_slots[2][batch];
+    WARP_SHARED int batch_slots[2][batch];
     WARP_SHARED unsigned warp_kept[8];
 
     const bool has_median = v_median_depths.shape[0] > 0;
@@ -83,12 +82,12 @@ _BODY = """
     unsigned any_open = ballot(open);
 
     // Turn the table round: a lane is one of eight splats and a row of eight pixels.
-    auto add_up = [&](int held) {
+    auto add_up = [&](int held, unsigned long long splats) {  // a byte for each: its place in the batch
         sync_warp();  // the lanes have written the shares of their pixels; each now reads those of others
         float sums[lanes][row];
         for (int l = 0; l < lanes; ++l) {
             const int lane = first_lane + l, h = lane & 7, line = lane >> 3;
-            const float* const record = records + (h < held ? held_splat[warp][h] : 0) * stride;
+            const float* const record = records + (int)(splats >> (8 * h) & 31u) * stride;
             const float x = (float)block_left + 0.5f - record[0], dy = (float)(block_top + line) + 0.5f - record[1];
             float s = 0.0f, s_x = 0.0f, s_xx = 0.0f, depth = 0.0f, color[channels], abs_x = 0.0f, abs_y = 0.0f;
             for (int d = 0; d < channels; ++d) color[d] = 0.0f;
@@ -139,9 +138,8 @@ _BODY = """
     #endif
         }
         for (int l = 0; l < lanes && first_lane + l < held; ++l) {
-            const int h = first_lane + l;
-            if (has_median) sums[l][6] += held_median[warp][h];
-            float* const to = rows[warp] + held_splat[warp][h] * row;
+            float* const to = rows[warp] + (int)(splats >> (8 * (first_lane + l)) & 31u) * row;
+            if (has_median) sums[l][6] += to[6];
             for (int c = 0; c < row; ++c) to[c] = sums[l][c];
         }
         sync_warp();  // the table was read, the next splats may fill it
@@ -159,6 +157,7 @@ _BODY = """
         if (runs) {
             unsigned met = 0, kept = 0;
             int held = 0;
+            unsigned long long splats = 0;
             if (any_open)
                 for (int l = 0; l < lanes; ++l)
                     if (first_lane + l < batch && meets(first_lane + l)) met |= 1u << (first_lane + l);
@@ -210,16 +209,17 @@ _BODY = """
                             v_median += __shfl_xor_sync(0xffffffffu, v_median, step);
     #endif
                     }
-                    if (first_lane == 0) held_median[warp][held] = v_median;
+                    if (first_lane == 0) rows[warp][k * row + 6] = v_median;  // read and overwritten in `add_up`
                 }
-                if (first_lane == 0) held_splat[warp][held] = k;
+                splats |= (unsigned long long)k << (8 * held);
                 kept |= 1u << k;
                 if (++held == held_most) {
-                    add_up(held);
+                    add_up(held, splats);
                     held = 0;
+                    splats = 0;
                 }
             }
-            if (held > 0) add_up(held);
+            if (held > 0) add_up(held, splats);
             open = 0;
             for (int l = 0; l < lanes; ++l) open |= (unsigned)(light[l] > 0.0f) << (first_lane + l);
             any_open = ballot(open);
@@ -281,7 +281,12 @@ def gpu_backward_kernel(channels: int, absolute: bool):
     ):
         """The sums of a tile's splats; every thread of the block calls it."""
 
-    @wp.kernel(enable_backward=False, module="unique", grid_stride=False)
+    @wp.kernel(
+        enable_backward=False,
+        module="unique",
+        grid_stride=False,
+        launch_bounds=(THREADS, 3 if channels <= 3 else 1),  # 80 registers are enough for three channels
+    )
     def gpu_backward(
         # Splats, [C * N]
         means2d: wp.array[wp.vec2],
