@@ -56,7 +56,7 @@ def view(
 
 
 def carve(device: wp.Device, *wanted: tuple[type, int]) -> list[wp.array]:
-    """1-D arrays, given as (dtype, size), of any content, from one allocation that lives as long as one of them does."""
+    """1-D arrays, given as (dtype, size), of any content: one allocation, which lives as long as one of them does."""
     sizes = [wp.types.type_size_in_bytes(dtype) * size for dtype, size in wanted]
     starts = [0]
     for size in sizes:

@@ -38,7 +38,6 @@ _start_warp()
 
 from graphgs.kernels.shared_range import SharedRange  # noqa: E402 - it makes a kernel, so Warp must have started
 
-
 _recorded = threading.local()  # a launch that is being prepared belongs to one thread
 
 

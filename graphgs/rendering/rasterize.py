@@ -88,7 +88,7 @@ def rasterize(
     else:
         # The centre of a camera whose rotation is orthonormal: -R^T t.
         centers = -(viewmats[:, :3, :3] * viewmats[:, :3, 3:]).sum(dim=1)
-        splat_colors = Shade.apply(means, colors.contiguous(), centers, radii, sh_degree)
+        splat_colors = Shade.apply(means, colors.contiguous(), centers, radii, sh_degree, shape == "gpu")
     if backgrounds is None:
         backgrounds = means.new_zeros(viewmats.shape[0], splat_colors.shape[-1])
     rendered_colors, alphas, render_depths, median_depths = Composite.apply(

@@ -186,11 +186,7 @@ _BODY = """
                     const float gained = weight[l] * gain;
                     rest[l] -= gained;
                     light[l] = behind;
-    #if defined(__CUDA_ARCH__)
-                    const float odds = __fdividef(alpha, through);
-    #else
-                    const float odds = alpha / through;
-    #endif
+                    const float odds = divide(alpha, through);
                     if (opacity <= alpha_max) v_sigma[l] = odds * rest[l] - gained;  // the clamp has no gradient
                 }
                 if (!ballot(took)) continue;
@@ -248,7 +244,8 @@ _BODY = """
 
 
 @cache
-def gpu_backward_kernel(channels: int, absolute: bool):
+def gpu_backward_kernel(channels: int, absolute: bool, resident: int = 0):
+    resident = resident or (3 if absolute else 4)
     vecD = wp.types.vector(channels, wp.float32)
 
     @wp.func_native(_unblend(channels, absolute))
@@ -285,7 +282,7 @@ def gpu_backward_kernel(channels: int, absolute: bool):
         enable_backward=False,
         module="unique",
         grid_stride=False,
-        launch_bounds=(THREADS, 3 if channels <= 3 else 1),  # 80 registers are enough for three channels
+        launch_bounds=(THREADS, resident if channels <= 3 else 1),  # 64 registers, or 80, are enough for three channels
     )
     def gpu_backward(
         # Splats, [C * N]

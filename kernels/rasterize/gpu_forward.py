@@ -5,7 +5,7 @@ from functools import cache
 import warp as wp
 
 from graphgs.kernels.rasterize.constants import TILE_SIZE
-from graphgs.kernels.rasterize.warps import warps
+from graphgs.kernels.rasterize.warps import THREADS, warps
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
@@ -26,8 +26,9 @@ _BLEND = """
     for (int l = 0; l < lanes; ++l) {
         const int lane = first_lane + l, px = block_left + (lane & 7), py = block_top + (lane >> 3);
         light[l] = 1.0f;
-        depth[l] = weights[l] = median[l] = 0.0f;  // weights: 1 - light, without the rounding of 1, which a faint pixel's
-        taken_to[l] = first;                       // depth would show
+        // weights: 1 - light, without the rounding of 1, which a faint pixel's depth would show
+        depth[l] = weights[l] = median[l] = 0.0f;
+        taken_to[l] = first;
         for (int d = 0; d < channels; ++d) color[l][d] = 0.0f;
         if (px < width && py < height) {
             const int index = (camera * height + py) * width + px;
@@ -112,10 +113,10 @@ _BLEND = """
 
 
 @cache
-def gpu_forward_kernel(channels: int):
+def gpu_forward_kernel(channels: int, batch: int = 128, resident: int = 5):
     vecD = wp.types.vector(channels, wp.float32)
 
-    @wp.func_native(warps(channels, batch=128 if channels <= 5 else 32) + _BLEND)
+    @wp.func_native(warps(channels, batch if channels <= 5 else 32) + _BLEND)
     def blend(
         thread: int,
         tile: int,
@@ -143,7 +144,12 @@ def gpu_forward_kernel(channels: int):
     ):
         """Blend a tile's splats; every thread of the block calls it."""
 
-    @wp.kernel(enable_backward=False, module="unique", grid_stride=False)
+    @wp.kernel(
+        enable_backward=False,
+        module="unique",
+        grid_stride=False,
+        launch_bounds=(THREADS, resident if channels <= 3 else 1),  # 48 registers are enough for three channels
+    )
     def gpu_forward(
         # Splats, [C * N]
         means2d: wp.array[wp.vec2],

@@ -17,7 +17,7 @@ from graphgs.kernels.rasterize.constants import ALPHA_MIN, TILE_SIZE
 from graphgs.kernels.rasterize.ellipse import Ellipse, alpha_ellipse, band_extent, cells_between
 from graphgs.kernels.rasterize.gpu_room import Count, Room
 
-# Two kernels walk a splat's tiles, one to count and one to list them: unfused, they round alike, and agree on every tile.
+# Two kernels walk a splat's tiles, one to count and one to list them: unfused, they round alike, and agree on each.
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fuse_fp": False})
 
 HIDDEN = wp.constant(0x7FFFFFFF)  # sorts behind every depth

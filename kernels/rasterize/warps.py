@@ -5,8 +5,8 @@ in batches through shared memory. Lane k first asks of splat k whether its ellip
 pixels; the answers are the bits of one number, and the warp walks those alone.
 
 On CUDA a thread runs one lane. On the CPU, where tests run, one fiber of a block runs the 32 lanes of its warp in turn
-(`lanes` is 32): what one lane keeps for itself is an array over lanes, of length 1 on CUDA, so in registers. A loop over
-lanes ends where lanes meet: `ballot`, `sync_warp`. What the CPU therefore cannot show is a missing `sync_warp` between
+(`lanes` is 32): what one lane keeps for itself is an array over lanes, of length 1 on CUDA, so in registers. A loop
+over lanes ends where lanes meet: `ballot`, `sync_warp`. What the CPU therefore cannot show is a missing `sync_warp` between
 lanes that hand each other values through shared memory, or a missing WP_TILE_SYNC between warps that do: at both, the
 code says who writes and who reads.
 """
@@ -20,7 +20,8 @@ COLORS = 7  # where the colours begin in a record: mean, exponent's three factor
 def warps(channels: int, batch: int) -> str:
     """Constants, shared memory and helpers, to stand at the beginning of a native function's body.
 
-    The function must have: thread, left and top [px] of the tile, means2d, conics, depths, opacities, colors, splat_ids.
+    The function must have: thread, left and top [px] of the tile, means2d, conics, depths, opacities, colors,
+    splat_ids.
     """
     assert TILE_SIZE == 16
     stride = -(-(COLORS + channels) // 4) * 4  # whole vectors of four
@@ -84,6 +85,13 @@ _LANES = """
         return a * b + c;
     #endif
     };
+    auto divide = [](float a, float b) -> float {
+    #if defined(__CUDA_ARCH__)
+        return __fdividef(a, b);
+    #else
+        return a / b;
+    #endif
+    };
     auto root = [](float square) -> float {
     #if defined(__CUDA_ARCH__)
         float result;
@@ -96,7 +104,7 @@ _LANES = """
 """
 
 _RECORDS = """
-    constexpr int outline = 7;  // mean, then the ellipse as in ellipse.py; an odd length keeps 32 lanes off each other's banks
+    constexpr int outline = 7;  // mean, then the ellipse as in ellipse.py; an odd length: 32 lanes, 32 banks
     alignas(16) WARP_SHARED float records[batch * stride];
     WARP_SHARED float outlines[batch * outline];
 
@@ -123,14 +131,14 @@ _RECORDS = """
             constexpr float ln_2 = 0.693147181f;
             const float a = record[2] * (-2.0f * ln_2), b = record[3] * -ln_2, c = record[4] * (-2.0f * ln_2);
             const float det = wp::max(a * c - b * b, 1e-20f);
-            const float level = 2.0f * wp::log(record[5] / alpha_min) + 1e-3f;  // a little more, for rounding
+            const float level = 2.0f * wp::log(record[5] * 255.0f) + 1e-3f;  // a little more, for rounding
             e[0] = record[0];
             e[1] = record[1];
-            e[2] = b / a;
-            e[3] = root(level * a / det);
-            e[4] = -b * root(level / (det * c));
-            e[5] = det / (a * a);
-            e[6] = level / a;
+            e[2] = divide(b, a);
+            e[3] = root(divide(level * a, det));
+            e[4] = -b * root(divide(level, det * c));
+            e[5] = divide(det, a * a);
+            e[6] = divide(level, a);
         }
     };
     // Whether splat k of the batch meets the warp's 8 x 4 pixels. Not a number counts as yes.
@@ -145,8 +153,8 @@ _RECORDS = """
         const float x = (float)block_left + 0.5f - e[0];
         return !(leftmost > x + 7.01f) && !(rightmost < x - 0.01f);
     };
-    // opacity exp(-sigma) of a record. The multiply-adds are spelled out so that both passes round alike: whether a pixel
-    // took a splat must not depend on how a compiler contracts one of them.
+    // opacity exp(-sigma) of a record. The multiply-adds are spelled out so that both passes round alike: whether a
+    // pixel took a splat must not depend on how a compiler contracts one of them.
     auto opacity_at = [&](const float* record, float dx, float dy) -> float {
         const float half_way = multiply_add(record[3], dy, record[2] * dx);
         return record[5] * power_of_two(multiply_add(record[4] * dy, dy, half_way * dx));
