@@ -55,14 +55,20 @@ def view(
     return array
 
 
-def carve(device: wp.Device, *wanted: tuple[type, int]) -> list[wp.array]:
-    """1-D arrays, given as (dtype, size), of any content: one allocation, which lives as long as one of them does."""
-    sizes = [wp.types.type_size_in_bytes(dtype) * size for dtype, size in wanted]
-    starts = [0]
-    for size in sizes:
-        starts.append(starts[-1] + -(-size // 256) * 256)  # as an allocation of its own would be aligned
-    block = wp.empty(max(starts[-1], 1), dtype=wp.uint8, device=device)
-    return [
-        view(block.ptr + start, dtype, (size,), device, block)
-        for start, (dtype, size) in zip(starts, wanted, strict=False)
-    ]
+def packed_size(*wanted: tuple[type, int]) -> int:
+    """[B] that `carve` needs."""
+    return sum(_aligned(dtype, size) for dtype, size in wanted)
+
+
+def carve(block: wp.array, owner, *wanted: tuple[type, int]) -> list[wp.array]:
+    """1-D arrays, given as (dtype, size), one behind the other in a block of memory; each keeps `owner` alive."""
+    arrays, address = [], block.ptr
+    for dtype, size in wanted:
+        arrays.append(view(address, dtype, (size,), block.device, owner))
+        address += _aligned(dtype, size)
+    return arrays
+
+
+def _aligned(dtype: type, size: int) -> int:
+    """[B] of an array, with the gap that aligns the next as if it had been allocated by itself."""
+    return -(-wp.types.type_size_in_bytes(dtype) * size // 256) * 256

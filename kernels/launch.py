@@ -38,6 +38,7 @@ _start_warp()
 
 from graphgs.kernels.shared_range import SharedRange  # noqa: E402 - it makes a kernel, so Warp must have started
 
+_NUMBERS = (int, float, bool)
 _recorded = threading.local()  # a launch that is being prepared belongs to one thread
 
 
@@ -76,15 +77,15 @@ def launch(
     device,
     block_dim: int = 0,  # threads per block; 0: Warp's choice
 ) -> None:
-    """`wp.launch` of arrays, structs and numbers, faster from the second time on: types of arguments are not looked at
-    again."""
+    """`wp.launch`, faster from the second time on where arguments are arrays, structs and numbers: their types are not
+    looked at again."""
     dim = dim if isinstance(dim, tuple) else (dim,)
     if 0 in dim:
         return
-    if kernel.is_generic:
-        wp.launch(kernel, dim, inputs=list(inputs), outputs=list(outputs), device=device, block_dim=block_dim)
-        return
     device, args = wp.get_device(device), [*inputs, *outputs]
+    if kernel.is_generic or not all(hasattr(arg, "__ctype__") or type(arg) in _NUMBERS for arg in args):
+        wp.launch(kernel, dim, inputs=args, device=device, block_dim=block_dim)
+        return
     key = (kernel, device.alias, block_dim, device.is_cpu and wp.config.enable_cpu_blocks)
     commands = vars(_recorded)
     command = commands.get(key)

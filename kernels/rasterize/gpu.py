@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from graphgs.kernels.arrays import carve
 from graphgs.kernels.launch import launch, launch_blocks
 from graphgs.kernels.rasterize.buffers import Frame, Image, Splats, or_empty
 from graphgs.kernels.rasterize.gpu_backward import gpu_backward_kernel, row_size
@@ -47,7 +46,7 @@ def composite_gpu(
     room = shared_room(device) if room is None else room
     lists = list_tiles(splats, radii, frame, room, exact=exact)
     pixels, tiles = image.alphas.size, lists.tile_ranges.size
-    color_sums, tile_stops = carve(device, (image.colors.dtype, pixels), (int, tiles))
+    color_sums, tile_stops = room.lend("pixels", (image.colors.dtype, pixels), (int, tiles))
     launch_blocks(
         gpu_forward_kernel(splats.colors.dtype._length_),
         lists.tile_ranges.size,

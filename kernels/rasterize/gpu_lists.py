@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from graphgs.kernels.arrays import carve
 from graphgs.kernels.launch import launch
 from graphgs.kernels.rasterize.buffers import Frame, Splats, or_empty
 from graphgs.kernels.rasterize.constants import ALPHA_MIN, TILE_SIZE
@@ -120,11 +119,14 @@ def emit_keys(
     conics: wp.array[wp.vec3],
     opacities: wp.array[float],
     grid: Grid,
-    tiles: int,  # behind the last
+    tiles: int,  # C * tiles of an image
+    capacity: int,  # I
     # Out, [I]
     keys: wp.array[int],  # tile, or `tiles` where there are fewer intersections than room
     slots: wp.array[int],
     slot_splats: wp.array[int],
+    # Out
+    tile_ranges: wp.array[wp.vec2i],  # [C * tiles] zero, for `find_ranges`
     count: wp.array[int],  # [1] intersections, or empty
 ):
     """A thread per slot, which looks for its splat and tile: a large splat keeps no thread longer than a small one."""
@@ -150,6 +152,8 @@ def emit_keys(
         slot_splats[slot] = s
     keys[slot] = key
     slots[slot] = slot
+    for tile in range(slot, tiles, capacity):
+        tile_ranges[tile] = wp.vec2i(0, 0)
 
 
 @wp.kernel
@@ -201,8 +205,7 @@ def list_tiles(
 
     depth_keys = room.scratch("depth_keys", 2 * size)
     # The sort wants room for a second copy.
-    order, slot_ends, tile_ranges = carve(device, (int, 2 * size), (int, size), (wp.vec2i, tiles))
-    tile_ranges.zero_()
+    order, slot_ends, tile_ranges = room.lend("splats", (int, 2 * size), (int, size), (wp.vec2i, tiles))
     inputs = [splats.depths, radii, splats.opacities]
     launch(write_depth_keys, size, inputs=inputs, outputs=[depth_keys, order], device=device)
     wp.utils.radix_sort_pairs(depth_keys, order, size, end_bit=DEPTH_BITS)
@@ -217,12 +220,12 @@ def list_tiles(
     capacity = room.capacity
     keys, sorted_slots = room.scratch("keys", 2 * capacity), room.scratch("slots", 2 * capacity)
     slot_splats = room.scratch("slot_splats", capacity)
-    splat_ids, slots = carve(device, (int, capacity), (int, capacity))
+    splat_ids, slots = room.lend("lists", (int, capacity), (int, capacity))
     launch(
         emit_keys,
         capacity,
-        inputs=[order, slot_ends, *shapes, tiles],
-        outputs=[keys, sorted_slots, slot_splats, or_empty(count and count.value, int, device)],
+        inputs=[order, slot_ends, *shapes, tiles, capacity],
+        outputs=[keys, sorted_slots, slot_splats, tile_ranges, or_empty(count and count.value, int, device)],
         device=device,
     )
     if count is not None:

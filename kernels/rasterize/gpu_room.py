@@ -11,7 +11,7 @@ from weakref import finalize
 
 import warp as wp
 
-from graphgs.kernels.arrays import view
+from graphgs.kernels.arrays import carve, packed_size, view
 
 
 class IntersectionOverflow(RuntimeError):
@@ -50,14 +50,19 @@ class Count:
         return ctypes.c_int.from_address(self.value.ptr).value
 
 
+class _Loan:
+    """What borrowed arrays hold on to."""
+
+
 class Room:
-    """Scratch arrays of one device and stream; they only grow."""
+    """Memory of one device and stream, so that who comes later also runs later."""
 
     def __init__(self, device, *, deferred: bool) -> None:
         self.device = wp.get_device(device)
         self.capacity = 0  # intersections
         self.deferred = deferred  # whether counts are looked at afterwards
         self._scratch: dict[str, wp.array] = {}
+        self._free: dict[str, list[wp.array]] = {}
         self._seen: tuple[int, ...] | None = None
         self._mailboxes: list = []
 
@@ -68,6 +73,16 @@ class Room:
         if block is None or block.size < needed:
             block = self._scratch[name] = wp.empty(max(needed, 1), dtype=wp.uint8, device=self.device)
         return view(block.ptr, dtype, (size,), self.device, block)
+
+    def lend(self, name: str, *wanted: tuple[type, int]) -> list[wp.array]:
+        """Arrays, given as (dtype, size), of any content; the memory comes back here when the last of them is gone."""
+        free, needed = self._free.setdefault(name, []), packed_size(*wanted)
+        block = free.pop() if free else None
+        if block is None or block.size < needed:
+            block = wp.empty(needed + needed // 4 + 256, dtype=wp.uint8, device=self.device)
+        loan = _Loan()
+        finalize(loan, free.append, block)
+        return carve(block, loan, *wanted)
 
     def count(self) -> Count:
         """For the count of lists that are made with the present capacity."""

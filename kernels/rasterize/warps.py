@@ -6,9 +6,9 @@ pixels; the answers are the bits of one number, and the warp walks those alone.
 
 On CUDA a thread runs one lane. On the CPU, where tests run, one fiber of a block runs the 32 lanes of its warp in turn
 (`lanes` is 32): what one lane keeps for itself is an array over lanes, of length 1 on CUDA, so in registers. A loop
-over lanes ends where lanes meet: `ballot`, `sync_warp`. What the CPU therefore cannot show is a missing `sync_warp` between
-lanes that hand each other values through shared memory, or a missing WP_TILE_SYNC between warps that do: at both, the
-code says who writes and who reads.
+over lanes ends where lanes meet: `ballot`, `sync_warp`. What the CPU therefore cannot show is a missing `sync_warp`
+between lanes that hand each other values through shared memory, or a missing WP_TILE_SYNC between warps that do: at
+both, the code says who writes and who reads.
 """
 
 from graphgs.kernels.rasterize.constants import ALPHA_MAX, ALPHA_MIN, TILE_SIZE, TRANSMITTANCE_MIN
