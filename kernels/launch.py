@@ -83,15 +83,16 @@ def launch(
     if 0 in dim:
         return
     device, args = wp.get_device(device), [*inputs, *outputs]
-    if kernel.is_generic or not all(hasattr(arg, "__ctype__") or type(arg) in _NUMBERS for arg in args):
-        wp.launch(kernel, dim, inputs=args, device=device, block_dim=block_dim)
-        return
     key = (kernel, device.alias, block_dim, device.is_cpu and wp.config.enable_cpu_blocks)
     commands = vars(_recorded)
     command = commands.get(key)
     if command is None:
-        command = commands[key] = _Command(kernel, dim, args, device, block_dim)
-    command.run(dim, args)
+        plain = not kernel.is_generic and all(hasattr(arg, "__ctype__") or type(arg) in _NUMBERS for arg in args)
+        command = commands[key] = _Command(kernel, dim, args, device, block_dim) if plain else False
+    if command:
+        command.run(dim, args)
+    else:
+        wp.launch(kernel, dim, inputs=args, device=device, block_dim=block_dim)
 
 
 def launch_range(

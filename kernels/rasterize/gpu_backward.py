@@ -244,8 +244,9 @@ _BODY = """
 
 
 @cache
-def gpu_backward_kernel(channels: int, absolute: bool, resident: int = 0):
-    resident = resident or (3 if absolute else 4)
+def gpu_backward_kernel(channels: int, absolute: bool, resident: int = 0):  # blocks of an SM; 0: chosen here
+    # Registers: 64 are enough for three channels, 80 with `absolute`, 128 for eight channels.
+    resident = resident or ((3 if absolute else 4) if channels <= 3 else 2 if channels <= 8 else 1)
     vecD = wp.types.vector(channels, wp.float32)
 
     @wp.func_native(_unblend(channels, absolute))
@@ -282,7 +283,7 @@ def gpu_backward_kernel(channels: int, absolute: bool, resident: int = 0):
         enable_backward=False,
         module="unique",
         grid_stride=False,
-        launch_bounds=(THREADS, resident if channels <= 3 else 1),  # 64 registers, or 80, are enough for three channels
+        launch_bounds=(THREADS, resident),
     )
     def gpu_backward(
         # Splats, [C * N]
