@@ -244,9 +244,9 @@ _BODY = """
 
 
 @cache
-def gpu_backward_kernel(channels: int, absolute: bool, resident: int = 0):  # blocks of an SM; 0: chosen here
+def gpu_backward_kernel(channels: int, absolute: bool):
     # Registers: 64 are enough for three channels, 80 with `absolute`, 128 for eight channels.
-    resident = resident or ((3 if absolute else 4) if channels <= 3 else 2 if channels <= 8 else 1)
+    resident = (3 if absolute else 4) if channels <= 3 else 2 if channels <= 8 else 1  # blocks of an SM
     vecD = wp.types.vector(channels, wp.float32)
 
     @wp.func_native(_unblend(channels, absolute))

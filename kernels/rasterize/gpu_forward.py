@@ -9,6 +9,8 @@ from graphgs.kernels.rasterize.warps import THREADS, warps
 
 wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
 
+BATCH = 128  # splats in shared memory at a time
+
 
 @wp.func
 def tile_corner(tile: int, width: int, height: int):
@@ -113,10 +115,10 @@ _BLEND = """
 
 
 @cache
-def gpu_forward_kernel(channels: int, batch: int = 128, resident: int = 5):
+def gpu_forward_kernel(channels: int):
     vecD = wp.types.vector(channels, wp.float32)
 
-    @wp.func_native(warps(channels, batch if channels <= 5 else 32) + _BLEND)
+    @wp.func_native(warps(channels, BATCH if channels <= 5 else 32) + _BLEND)
     def blend(
         thread: int,
         tile: int,
@@ -148,7 +150,7 @@ def gpu_forward_kernel(channels: int, batch: int = 128, resident: int = 5):
         enable_backward=False,
         module="unique",
         grid_stride=False,
-        launch_bounds=(THREADS, resident if channels <= 3 else 1),  # 48 registers are enough for three channels
+        launch_bounds=(THREADS, 5 if channels <= 3 else 1),  # 48 registers are enough for three channels
     )
     def gpu_forward(
         # Splats, [C * N]
