@@ -20,6 +20,7 @@ from graphgs.rendering import rasterize
 from tests.support.reference.rasterize import rasterize as twin
 
 SIZES = ("2k", "10k", "50k")
+LARGE = ("500k", "1m")  # at 1920 x 1080, for a card
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ class Work:
 
 def run(device: str) -> list[Metric]:
     metrics = []
-    for name in SIZES:
+    for name in SIZES if device == "cpu" else SIZES + LARGE:
         load = scene(name)
         print(f"rasterize/{name}: {load.source}")
         walls = []

@@ -5,7 +5,9 @@ kernel that wants this takes `first: int` as its FIRST argument and computes its
 must write only memory of its own: then the result does not depend on the number of threads.
 """
 
+import ctypes
 import os
+import threading
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 
@@ -36,6 +38,62 @@ _start_warp()
 
 from graphgs.kernels.shared_range import SharedRange  # noqa: E402 - it makes a kernel, so Warp must have started
 
+_NUMBERS = (int, float, bool)
+_recorded = threading.local()  # a launch that is being prepared belongs to one thread
+
+
+class _Command:
+    """A recorded launch of one kernel on one device. Warp checks and converts its arguments once; afterwards they are
+    only exchanged, which takes a few microseconds where `wp.launch` takes up to a hundred."""
+
+    def __init__(self, kernel: wp.Kernel, dim: tuple[int, ...], args: list, device, block_dim: int) -> None:
+        self.launch = wp.launch(kernel, dim=dim, inputs=args, device=device, block_dim=block_dim, record_cmd=True)
+        self.launch.fwd_args = None  # else the first arguments live for ever
+        self.dim = dim
+        self.has_descriptor = [hasattr(arg, "__ctype__") for arg in args]  # arrays and structs; the others are numbers
+
+    def run(self, dim: tuple[int, ...], args: list) -> None:
+        launch = self.launch
+        if dim != self.dim:
+            launch.set_dim(dim)
+            self.dim = dim
+        params, addresses = launch.params, launch.params_addr
+        for k, (arg, has_descriptor) in enumerate(zip(args, self.has_descriptor, strict=True), start=1):
+            if has_descriptor:
+                params[k] = descriptor = arg.__ctype__()
+                if addresses is not None:  # CUDA
+                    addresses[k] = ctypes.addressof(descriptor)
+            else:
+                params[k].value = arg
+        launch.launch()
+
+
+def launch(
+    kernel: wp.Kernel,
+    dim: int | tuple[int, ...],
+    *,
+    inputs: Sequence,
+    outputs: Sequence = (),
+    device,
+    block_dim: int = 0,  # threads per block; 0: Warp's choice
+) -> None:
+    """`wp.launch`, faster from the second time on where arguments are arrays, structs and numbers: their types are not
+    looked at again."""
+    dim = dim if isinstance(dim, tuple) else (dim,)
+    if 0 in dim:
+        return
+    device, args = wp.get_device(device), [*inputs, *outputs]
+    key = (kernel, device.alias, block_dim, device.is_cpu and wp.config.enable_cpu_blocks)
+    commands = vars(_recorded)
+    command = commands.get(key)
+    if command is None:
+        plain = not kernel.is_generic and all(hasattr(arg, "__ctype__") or type(arg) in _NUMBERS for arg in args)
+        command = commands[key] = _Command(kernel, dim, args, device, block_dim) if plain else False
+    if command:
+        command.run(dim, args)
+    else:
+        wp.launch(kernel, dim, inputs=args, device=device, block_dim=block_dim)
+
 
 def launch_range(
     kernel: wp.Kernel,
@@ -53,7 +111,7 @@ def launch_range(
         return
     alone = threads == 1 or count <= min_chunk or wp.config.enable_cpu_blocks  # blocks are for tests
     if alone or not wp.get_device(device).is_cpu:
-        wp.launch(kernel, dim=count, inputs=[0, *inputs], outputs=list(outputs), device=device)
+        launch(kernel, count, inputs=[0, *inputs], outputs=outputs, device=device)
         return
     size = max(min_chunk, -(-count // (threads * chunks_per_thread)))
     shared = SharedRange(kernel, count, size, inputs=inputs, outputs=outputs)
@@ -81,9 +139,7 @@ def launch_blocks(
     """
     if wp.get_device(device).is_cpu and not wp.config.enable_cpu_blocks:
         raise RuntimeError(f"{kernel.key}: a kernel of blocks runs on the CPU under wp.config.enable_cpu_blocks only")
-    wp.launch_tiled(
-        kernel, dim=[blocks], inputs=list(inputs), outputs=list(outputs), block_dim=block_dim, device=device
-    )
+    launch(kernel, (blocks, block_dim), inputs=inputs, outputs=outputs, device=device, block_dim=block_dim)
 
 
 def _pool(workers: int) -> ThreadPoolExecutor:

@@ -1,16 +1,20 @@
 """Torch tensors seen as Warp arrays, without a copy."""
 
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from functools import cache
 
 import numpy as np
 import torch
 import warp as wp
 from torch import Tensor
 
+from graphgs.kernels.arrays import view
 from graphgs.kernels.rasterize.ordered_sum import ordered_sum
 from graphgs.threads import get_num_threads
 
 _REAL = {torch.float32: wp.float32, torch.float64: wp.float64}
+_SCALARS = {**_REAL, torch.int32: wp.int32, torch.uint8: wp.uint8}
 
 
 def real_type(tensor: Tensor) -> type:
@@ -23,22 +27,43 @@ def vectors(
     *,
     axes: int = 1,  # of the array that comes out; the leading axes of the tensor are flattened into its first
 ) -> wp.array:  # of vectors of D numbers
-    kind = wp.int32 if tensor.dtype == torch.int32 else real_type(tensor)
-    split = tensor.dim() - axes
-    flat = tensor.detach().reshape(tensor.shape[:split].numel(), *tensor.shape[split:])
-    return wp.from_torch(flat, dtype=wp.types.vector(tensor.shape[-1], kind))
+    *shape, length = tensor.shape
+    if axes == 1:
+        size = tensor.numel() // length
+        return _view(tensor, _vector(length, tensor.dtype), (size,))
+    split = len(shape) - axes + 1
+    return _view(tensor, _vector(length, tensor.dtype), (tensor.shape[:split].numel(), *shape[split:]))
 
 
 def scalars(tensor: Tensor) -> wp.array:  # [...] contiguous -> 1-D
-    return wp.from_torch(tensor.detach().reshape(-1), dtype=real_type(tensor))
+    return _view(tensor, _SCALARS[tensor.dtype], (tensor.numel(),))
 
 
 def matrices(tensor: Tensor) -> wp.array:  # [C, 4, 4] contiguous -> [C] of mat44
-    return wp.from_torch(tensor.detach(), dtype=wp.types.matrix(tuple(tensor.shape[-2:]), real_type(tensor)))
+    return _view(tensor, _matrix(tuple(tensor.shape[-2:]), tensor.dtype), (tensor.shape[0],))
 
 
-def flags(tensor: Tensor) -> wp.array:  # [...] uint8, contiguous -> 1-D
-    return wp.from_torch(tensor.reshape(-1), dtype=wp.uint8)
+flags = scalars  # [...] uint8
+
+
+def _view(tensor: Tensor, dtype: type, shape: tuple[int, ...]) -> wp.array:
+    if not tensor.is_contiguous():
+        raise ValueError(f"expected a contiguous tensor, got strides {tensor.stride()} of {list(tensor.shape)}")
+    # Not the tensor itself: its graph would live as long as the array.
+    return view(tensor.data_ptr(), dtype, shape, _device(tensor.device), tensor.detach())
+
+
+@cache
+def _vector(length: int, dtype: torch.dtype) -> type:
+    return wp.types.vector(length, _SCALARS[dtype])
+
+
+@cache
+def _matrix(shape: tuple[int, int], dtype: torch.dtype) -> type:
+    return wp.types.matrix(shape, _SCALARS[dtype])
+
+
+_device = cache(wp.device_from_torch)
 
 
 def zeros(shape: tuple[int, ...], like: Tensor) -> Tensor:
@@ -57,8 +82,28 @@ def sum_rows(
         return wp.to_torch(ordered_sum(vectors(rows.contiguous(), axes=2), threads=get_num_threads())).squeeze(1)
 
 
-def torch_stream(device: torch.device) -> AbstractContextManager:
-    """Launch on torch's current stream, so that no synchronisation is needed. On the CPU this does nothing."""
-    if device.type != "cuda":
-        return nullcontext()
-    return wp.ScopedStream(wp.stream_from_torch(torch.cuda.current_stream(device)))
+@contextmanager
+def torch_stream(device: torch.device) -> Iterator[None]:
+    """Launch on torch's current stream, so that no synchronisation is needed. On the CPU this does nothing.
+
+    As `wp.ScopedStream`, but a stream is wrapped once, and waits for Warp's own stream the first time alone.
+    """
+    if device.type == "cpu":
+        yield
+        return
+    with torch.cuda.device(device) if device.index != torch.cuda.current_device() else nullcontext():
+        ours = _device(device)
+        before, stream = ours.stream, torch.cuda.current_stream(device).cuda_stream
+        if before.cuda_stream == stream:
+            yield
+            return
+        known = _streams.get((ours.alias, stream))
+        wrapped = _streams[ours.alias, stream] = known or wp.Stream(ours, cuda_stream=stream)
+        ours.set_stream(wrapped, sync=known is None)
+        try:
+            yield
+        finally:
+            ours.set_stream(before, sync=False)
+
+
+_streams: dict[tuple[str, int], wp.Stream] = {}

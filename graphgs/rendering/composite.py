@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
+import torch
 from torch import Tensor
 from torch.autograd import Function
 from torch.autograd.function import once_differentiable
@@ -75,16 +76,16 @@ class Composite(Function):
     @once_differentiable
     def backward(ctx, v_colors, v_alphas, v_depths, v_medians):
         means2d, conics, depths, opacities, colors, _, render_colors, render_alphas, _ = ctx.saved_tensors
-        v_tensors = [zeros(tensor.shape, means2d) for tensor in (means2d, conics, depths, opacities, colors)]
-        v_splats = _splats(*v_tensors)
+        on_gpu = ctx.options.shape == "gpu"  # which fills every gradient, and reads what is None as 0
+        fresh = torch.empty_like if on_gpu else (lambda tensor: zeros(tensor.shape, tensor))
+        v_tensors = [fresh(tensor) for tensor in (means2d, conics, depths, opacities, colors)]
         if ctx.options.absgrad:
-            means2d.absgrad = zeros(means2d.shape, means2d)
-            v_splats = _splats(*v_tensors, means2d.absgrad)
+            means2d.absgrad = fresh(means2d)
+        v_splats = _splats(*v_tensors, means2d.absgrad if ctx.options.absgrad else None)
         v_colors = _dense(v_colors, render_colors)
         v_image = _image(
             v_colors,
-            _dense(v_alphas, render_alphas),
-            _dense(v_depths, render_alphas),
+            *(v if v is None and on_gpu else _dense(v, render_alphas) for v in (v_alphas, v_depths)),
             _dense(v_medians, render_alphas) if ctx.options.median_depth else None,
         )
         with torch_stream(means2d.device):
@@ -118,5 +119,5 @@ def _splats(
     )
 
 
-def _image(colors: Tensor, alphas: Tensor, depths: Tensor, medians: Tensor | None) -> Image:
-    return Image(vectors(colors), scalars(alphas), scalars(depths), None if medians is None else scalars(medians))
+def _image(colors: Tensor, *planes: Tensor | None) -> Image:  # alphas, depths, median depths
+    return Image(vectors(colors), *(None if plane is None else scalars(plane) for plane in planes))

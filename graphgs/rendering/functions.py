@@ -12,6 +12,7 @@ from torch.autograd import Function
 from torch.autograd.function import once_differentiable
 
 from graphgs.kernels.rasterize.buffers import Splats
+from graphgs.kernels.rasterize.gpu_shade import shade_backward_blocks
 from graphgs.kernels.rasterize.project import Cameras, Gaussians, project, project_backward
 from graphgs.kernels.rasterize.shade import shade, shade_backward
 from graphgs.rendering.bridge import matrices, scalars, sum_rows, torch_stream, vectors, zeros
@@ -122,13 +123,14 @@ class Shade(Function):
         centers: Tensor,  # [C, 3] camera centres, world
         radii: Tensor,  # [C, N, 2]
         degree: int,
+        blocks: bool = False,  # the GPU's kernel, float32 alone
     ) -> Tensor:
         colors = means.new_empty(*radii.shape[:2], 3)
         ctx.arrays = [vectors(means), vectors(sh_coeffs, axes=2), vectors(centers), vectors(radii), vectors(colors)]
         with torch_stream(means.device):
             shade(*ctx.arrays, degree=degree, threads=get_num_threads())
         ctx.save_for_backward(means, sh_coeffs, centers, colors)
-        ctx.degree = degree
+        ctx.degree, ctx.blocks = degree, blocks
         return colors
 
     @staticmethod
@@ -139,7 +141,8 @@ class Shade(Function):
         center_wanted = ctx.needs_input_grad[2]
         v_directions = means.new_empty(centers.shape[0], means.shape[0] if center_wanted else 0, 3)
         with torch_stream(means.device):
-            shade_backward(
+            adjoint = shade_backward_blocks if ctx.blocks else shade_backward
+            adjoint(
                 *ctx.arrays,
                 vectors(v_colors.contiguous()),
                 vectors(v_means),
@@ -149,7 +152,7 @@ class Shade(Function):
                 threads=get_num_threads(),
             )
         v_centers = -sum_rows(v_directions) if center_wanted else None
-        return v_means, v_sh_coeffs, v_centers, None, None
+        return v_means, v_sh_coeffs, v_centers, None, None, None
 
 
 def _dense(gradient: Tensor | None, shape: tuple[int, ...], like: Tensor) -> Tensor:

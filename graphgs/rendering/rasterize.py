@@ -1,6 +1,7 @@
 """Render 3D Gaussians: the public, differentiable entry to the rasterizer."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import torch
 from torch import Tensor
@@ -72,7 +73,7 @@ def rasterize(
     shape = _choose_shape(means, shape)
 
     means, viewmats = means.contiguous(), viewmats.contiguous()
-    pinholes = torch.stack([Ks[:, 0, 0], Ks[:, 1, 1], Ks[:, 0, 2], Ks[:, 1, 2]], dim=-1)
+    pinholes = torch.index_select(Ks.reshape(-1, 9), 1, _pinhole_columns(Ks.device))
     means2d, conics, depths, splat_opacities, radii = Project.apply(
         means,
         quats.contiguous(),
@@ -87,7 +88,7 @@ def rasterize(
     else:
         # The centre of a camera whose rotation is orthonormal: -R^T t.
         centers = -(viewmats[:, :3, :3] * viewmats[:, :3, 3:]).sum(dim=1)
-        splat_colors = Shade.apply(means, colors.contiguous(), centers, radii, sh_degree)
+        splat_colors = Shade.apply(means, colors.contiguous(), centers, radii, sh_degree, shape == "gpu")
     if backgrounds is None:
         backgrounds = means.new_zeros(viewmats.shape[0], splat_colors.shape[-1])
     rendered_colors, alphas, render_depths, median_depths = Composite.apply(
@@ -109,6 +110,13 @@ def rasterize(
         radii=radii,
         median_depths=median_depths if median_depth else None,
     )
+
+
+@cache
+def _pinhole_columns(device: torch.device) -> Tensor:
+    """Where fx, fy, cx, cy are in a flattened K; there once, as a copy to the device would make the host wait."""
+    with torch.inference_mode(False):  # it may be saved for a backward pass
+        return torch.tensor([0, 4, 2, 5], device=device)
 
 
 def _choose_shape(means: Tensor, shape: Shape | None) -> Shape:

@@ -1,6 +1,7 @@
 """What compositing reads and writes. Splat arrays are flat over cameras: splat = camera * N + Gaussian."""
 
 from dataclasses import dataclass
+from functools import cache
 
 import warp as wp
 
@@ -30,14 +31,19 @@ class Frame:
 
 @dataclass(frozen=True)
 class Image:
-    """Rendered pixels, or their cotangents."""
+    """Rendered pixels, or their cotangents; of these the GPU's shape reads None as 0."""
 
     colors: wp.array  # [C * H * W] vector of D channels
-    alphas: wp.array  # [C * H * W]
-    depths: wp.array  # [C * H * W] expected depth
+    alphas: wp.array | None  # [C * H * W]
+    depths: wp.array | None  # [C * H * W] expected depth
     median_depths: wp.array | None = None  # [C * H * W] depth of the splat that halves the light; 0 = light stays above
 
 
 def or_empty(array: wp.array | None, dtype, device) -> wp.array:
     """As a kernel takes it: an array that is not wanted has no elements."""
-    return wp.empty(0, dtype=dtype, device=device) if array is None else array
+    return _empty(dtype, device.alias) if array is None else array
+
+
+@cache
+def _empty(dtype: type, device: str) -> wp.array:
+    return wp.empty(0, dtype=dtype, device=device)

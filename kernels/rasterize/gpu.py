@@ -8,10 +8,11 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from graphgs.kernels.launch import launch_blocks
+from graphgs.kernels.launch import launch, launch_blocks
 from graphgs.kernels.rasterize.buffers import Frame, Image, Splats, or_empty
-from graphgs.kernels.rasterize.gpu_backward import gather_splats_kernel, gpu_backward_kernel, sums_type
+from graphgs.kernels.rasterize.gpu_backward import gpu_backward_kernel, row_size
 from graphgs.kernels.rasterize.gpu_forward import gpu_forward_kernel
+from graphgs.kernels.rasterize.gpu_gather import SHARERS, gather_splats_kernel
 from graphgs.kernels.rasterize.gpu_lists import GpuLists, list_tiles
 from graphgs.kernels.rasterize.gpu_room import IntersectionOverflow, Room, shared_room
 
@@ -44,8 +45,8 @@ def composite_gpu(
     device = splats.depths.device
     room = shared_room(device) if room is None else room
     lists = list_tiles(splats, radii, frame, room, exact=exact)
-    color_sums = wp.empty(image.alphas.size, dtype=image.colors.dtype, device=device)
-    tile_stops = wp.empty(lists.tile_ranges.size, dtype=int, device=device)
+    pixels, tiles = image.alphas.size, lists.tile_ranges.size
+    color_sums, tile_stops = room.lend("pixels", (image.colors.dtype, pixels), (int, tiles))
     launch_blocks(
         gpu_forward_kernel(splats.colors.dtype._length_),
         lists.tile_ranges.size,
@@ -78,16 +79,16 @@ def composite_gpu(
 def composite_gpu_backward(
     splats: Splats, frame: Frame, state: GpuState, v_image: Image, v_splats: Splats, *, threads: int = 1
 ) -> None:
-    """Fill `v_splats` where a splat was visible; the rest must be zero before. Raises IntersectionOverflow."""
+    """Fill `v_splats`. Raises IntersectionOverflow."""
     device = splats.depths.device
     lists, room = state.lists, state.room
     if lists.count is not None:
         room.check(lists.count)
     channels = splats.colors.dtype._length_
-    splat_sums = room.scratch("splat_sums", lists.slots.size, sums_type(channels))
-    splat_sums.zero_()
+    absolute = v_splats.abs_means2d is not None
+    splat_sums = room.scratch("splat_sums", lists.slots.size * row_size(channels, absolute), float)
     launch_blocks(
-        gpu_backward_kernel(channels),
+        gpu_backward_kernel(channels, absolute),
         state.tile_stops.size,
         inputs=[
             splats.means2d,
@@ -106,16 +107,16 @@ def composite_gpu_backward(
             state.depths,
             state.color_sums,
             v_image.colors,
-            v_image.alphas,
-            v_image.depths,
+            or_empty(v_image.alphas, float, device),
+            or_empty(v_image.depths, float, device),
             or_empty(v_image.median_depths, float, device),
         ],
         outputs=[splat_sums],
         device=device,
     )
-    wp.launch(
-        gather_splats_kernel(channels),
-        dim=splats.depths.size,
+    launch(
+        gather_splats_kernel(channels, absolute),
+        splats.depths.size * int(SHARERS),
         inputs=[lists.order, lists.slot_ends, splats.conics, splats.opacities, splat_sums],
         outputs=[
             v_splats.means2d,

@@ -10,12 +10,14 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from graphgs.kernels.rasterize.buffers import Frame, Splats
+from graphgs.kernels.launch import launch
+from graphgs.kernels.rasterize.buffers import Frame, Splats, or_empty
 from graphgs.kernels.rasterize.constants import ALPHA_MIN, TILE_SIZE
 from graphgs.kernels.rasterize.ellipse import Ellipse, alpha_ellipse, band_extent, cells_between
 from graphgs.kernels.rasterize.gpu_room import Count, Room
 
-wp.set_module_options({"enable_backward": False, "default_grid_stride": False})
+# Two kernels walk a splat's tiles, one to count and one to list them: unfused, they round alike, and agree on each.
+wp.set_module_options({"enable_backward": False, "default_grid_stride": False, "fuse_fp": False})
 
 HIDDEN = wp.constant(0x7FFFFFFF)  # sorts behind every depth
 DEPTH_BITS = 31  # a positive float sorts like its bits
@@ -94,6 +96,20 @@ def count_tiles(
     counts[rank] = count
 
 
+@wp.func
+def rank_of_slot(slot_ends: wp.array[int], slot: int):
+    """The first rank whose slots end behind this one."""
+    low = int(0)
+    high = slot_ends.shape[0] - 1
+    while low < high:
+        middle = (low + high) // 2
+        if slot_ends[middle] > slot:
+            high = middle
+        else:
+            low = middle + 1
+    return low
+
+
 @wp.kernel
 def emit_keys(
     order: wp.array[int],  # [C * N]
@@ -103,35 +119,48 @@ def emit_keys(
     conics: wp.array[wp.vec3],
     opacities: wp.array[float],
     grid: Grid,
+    tiles: int,  # C * tiles of an image
+    capacity: int,  # I
     # Out, [I]
-    keys: wp.array[int],  # tile; that behind the last before
+    keys: wp.array[int],  # tile, or `tiles` where there are fewer intersections than room
     slots: wp.array[int],
     slot_splats: wp.array[int],
+    # Out
+    tile_ranges: wp.array[wp.vec2i],  # [C * tiles] zero, for `find_ranges`
+    count: wp.array[int],  # [1] intersections, or empty
 ):
-    rank = wp.tid()
-    slot = int(0)
-    if rank > 0:
-        slot = slot_ends[rank - 1]
-    end = wp.min(slot_ends[rank], keys.shape[0])  # there may be less room than intersections
-    if slot < end:
+    """A thread per slot, which looks for its splat and tile: a large splat keeps no thread longer than a small one."""
+    slot = wp.tid()
+    total = slot_ends[slot_ends.shape[0] - 1]
+    if slot == 0 and count.shape[0] > 0:
+        count[0] = total
+    key = tiles
+    if slot < total:
+        rank = rank_of_slot(slot_ends, slot)
         s = order[rank]
+        place = slot
+        if rank > 0:
+            place -= slot_ends[rank - 1]
         ellipse = alpha_ellipse(conics[s], opacities[s])
-        first_tile = (s // grid.splats) * grid.rows * grid.columns
-        top, bottom = row_span(means2d[s], ellipse, grid)
-        for row in range(top, bottom + 1):
+        row, bottom = row_span(means2d[s], ellipse, grid)
+        left, right = column_span(means2d[s], ellipse, row, grid)
+        while place > right - left and row < bottom:
+            place -= right - left + 1
+            row += 1
             left, right = column_span(means2d[s], ellipse, row, grid)
-            for column in range(left, right + 1):
-                if slot < end:
-                    keys[slot] = first_tile + row * grid.columns + column
-                    slots[slot] = slot
-                    slot_splats[slot] = s
-                    slot += 1
+        key = ((s // grid.splats) * grid.rows + row) * grid.columns + left + place
+        slot_splats[slot] = s
+    keys[slot] = key
+    slots[slot] = slot
+    for tile in range(slot, tiles, capacity):
+        tile_ranges[tile] = wp.vec2i(0, 0)
 
 
 @wp.kernel
 def find_ranges(
     # Sorted, [I]
     keys: wp.array[int],
+    capacity: int,
     sorted_slots: wp.array[int],
     slot_splats: wp.array[int],
     # Out
@@ -148,7 +177,7 @@ def find_ranges(
         if i > 0:
             before = keys[i - 1]
         behind = int(-1)
-        if i + 1 < keys.shape[0]:
+        if i + 1 < capacity:
             behind = keys[i + 1]
         if before != tile:
             tile_ranges[tile][0] = i
@@ -170,43 +199,42 @@ def list_tiles(
     grid.columns, grid.rows = -(-frame.width // int(TILE_SIZE)), -(-frame.height // int(TILE_SIZE))
     grid.splats = max(1, size // frame.cameras)
     tiles = frame.cameras * grid.rows * grid.columns
-    tile_ranges = wp.zeros(tiles, dtype=wp.vec2i, device=device)
-    order = wp.empty(2 * size, dtype=int, device=device)  # the sort wants room for a second copy
-    slot_ends = wp.empty(size, dtype=int, device=device)
     if size == 0:
-        return GpuLists(order, order, tile_ranges, order, slot_ends, None)
+        none = or_empty(None, int, device)
+        return GpuLists(none, none, wp.zeros(tiles, dtype=wp.vec2i, device=device), none, none, None)
 
     depth_keys = room.scratch("depth_keys", 2 * size)
+    # The sort wants room for a second copy.
+    order, slot_ends, tile_ranges = room.lend("splats", (int, 2 * size), (int, size), (wp.vec2i, tiles))
     inputs = [splats.depths, radii, splats.opacities]
-    wp.launch(write_depth_keys, dim=size, inputs=inputs, outputs=[depth_keys, order], device=device)
+    launch(write_depth_keys, size, inputs=inputs, outputs=[depth_keys, order], device=device)
     wp.utils.radix_sort_pairs(depth_keys, order, size, end_bit=DEPTH_BITS)
     shapes = [splats.means2d, splats.conics, splats.opacities, grid]
-    wp.launch(count_tiles, dim=size, inputs=[depth_keys, order, *shapes], outputs=[slot_ends], device=device)
+    launch(count_tiles, size, inputs=[depth_keys, order, *shapes], outputs=[slot_ends], device=device)
     wp.utils.array_scan(slot_ends, slot_ends, inclusive=True)
 
     familiar = room.is_familiar(size, frame.cameras, frame.width, frame.height)
-    count = room.send(slot_ends[-1:])
-    if exact or not familiar or not room.deferred:
-        room.fit(count.read())
-        count = None
-
+    count = room.count() if familiar and room.deferred and not exact else None
+    if count is None:
+        room.fit(int(slot_ends[-1:].numpy()[0]))
     capacity = room.capacity
     keys, sorted_slots = room.scratch("keys", 2 * capacity), room.scratch("slots", 2 * capacity)
     slot_splats = room.scratch("slot_splats", capacity)
-    splat_ids, slots = (wp.empty(capacity, dtype=int, device=device) for _ in range(2))
-    keys[:capacity].fill_(tiles)
-    wp.launch(
+    splat_ids, slots = room.lend("lists", (int, capacity), (int, capacity))
+    launch(
         emit_keys,
-        dim=size,
-        inputs=[order, slot_ends, *shapes],
-        outputs=[keys[:capacity], sorted_slots, slot_splats],
+        capacity,
+        inputs=[order, slot_ends, *shapes, tiles, capacity],
+        outputs=[keys, sorted_slots, slot_splats, tile_ranges, or_empty(count and count.value, int, device)],
         device=device,
     )
+    if count is not None:
+        count.send()
     wp.utils.radix_sort_pairs(keys, sorted_slots, capacity, end_bit=tiles.bit_length())
-    wp.launch(
+    launch(
         find_ranges,
-        dim=capacity,
-        inputs=[keys[:capacity], sorted_slots, slot_splats],
+        capacity,
+        inputs=[keys, capacity, sorted_slots, slot_splats],
         outputs=[splat_ids, slots, tile_ranges],
         device=device,
     )

@@ -5,10 +5,13 @@ the device has caught up, in every step. So the memory has room for more than we
 room, and the count travels to the host meanwhile; the backward pass looks at it, when the device has work queued.
 """
 
+import ctypes
 from functools import cache
 from weakref import finalize
 
 import warp as wp
+
+from graphgs.kernels.arrays import carve, packed_size, view
 
 
 class IntersectionOverflow(RuntimeError):
@@ -25,48 +28,65 @@ class IntersectionOverflow(RuntimeError):
 class Count:
     """A number on its way from the device."""
 
-    def __init__(self, source: wp.array, capacity: int, mailboxes: list) -> None:  # source: [1] int
+    def __init__(self, device: wp.Device, capacity: int, mailboxes: list) -> None:
         """`mailboxes` are pinned memory and events that are free; this one's go back there at the end of its life."""
         self.capacity = capacity  # of the lists that were made with it
-        device = source.device
         if not mailboxes:
             event = wp.Event(device) if device.is_cuda else None
             mailboxes.append((wp.empty(1, dtype=int, device="cpu", pinned=device.is_cuda), event))
-        self._value, self._event = mailbox = mailboxes.pop()
+        self.value, self._event = mailbox = mailboxes.pop()  # a kernel writes the value, over the bus
+        self._device = device
         finalize(self, mailboxes.append, mailbox)
-        wp.copy(self._value, source)
+
+    def send(self) -> None:
+        """The kernel that writes it was launched."""
         if self._event is not None:
-            device.stream.record_event(self._event)
+            self._device.stream.record_event(self._event)
 
     def read(self) -> int:
         """Wait until it has arrived."""
         if self._event is not None:
             wp.synchronize_event(self._event)
-        return int(self._value.numpy()[0])
+        return ctypes.c_int.from_address(self.value.ptr).value
+
+
+class _Loan:
+    """What borrowed arrays hold on to."""
 
 
 class Room:
-    """Scratch arrays of one device and stream; they only grow."""
+    """Memory of one device and stream, so that who comes later also runs later."""
 
     def __init__(self, device, *, deferred: bool) -> None:
         self.device = wp.get_device(device)
         self.capacity = 0  # intersections
         self.deferred = deferred  # whether counts are looked at afterwards
-        self._scratch: dict[tuple, wp.array] = {}
+        self._scratch: dict[str, wp.array] = {}
+        self._free: dict[str, list[wp.array]] = {}
         self._seen: tuple[int, ...] | None = None
         self._mailboxes: list = []
 
     def scratch(self, name: str, size: int, dtype=int) -> wp.array:
         """An array of `size` elements of any content; it belongs to the caller until the next one asks by that name."""
-        array = self._scratch.get((name, dtype))
-        if array is None or array.size < size:
-            # At least one element: an empty array cannot be sliced.
-            array = self._scratch[name, dtype] = wp.empty(max(size, 1), dtype=dtype, device=self.device)
-        return array[:size]
+        needed = size * wp.types.type_size_in_bytes(dtype)
+        block = self._scratch.get(name)
+        if block is None or block.size < needed:
+            block = self._scratch[name] = wp.empty(max(needed, 1), dtype=wp.uint8, device=self.device)
+        return view(block.ptr, dtype, (size,), self.device, block)
 
-    def send(self, source: wp.array) -> Count:  # [1] int
-        """Send the count of lists that are made with the present capacity."""
-        return Count(source, self.capacity, self._mailboxes)
+    def lend(self, name: str, *wanted: tuple[type, int]) -> list[wp.array]:
+        """Arrays, given as (dtype, size), of any content; the memory comes back here when the last of them is gone."""
+        free, needed = self._free.setdefault(name, []), packed_size(*wanted)
+        block = free.pop() if free else None
+        if block is None or block.size < needed:
+            block = wp.empty(needed + needed // 4 + 256, dtype=wp.uint8, device=self.device)
+        loan = _Loan()
+        finalize(loan, free.append, block)
+        return carve(block, loan, *wanted)
+
+    def count(self) -> Count:
+        """For the count of lists that are made with the present capacity."""
+        return Count(self.device, self.capacity, self._mailboxes)
 
     def is_familiar(self, *sizes: int) -> bool:
         """Whether the last view had the same sizes, so that its count says how much room this one needs."""
@@ -76,7 +96,7 @@ class Room:
 
     def fit(self, count: int) -> None:
         """Make room for `count` intersections, and more, since Gaussians move."""
-        if count + count // 8 >= self.capacity:  # also at 0, as Warp has no slice of an empty array
+        if count + count // 8 >= self.capacity:
             self.capacity = count + count // 2 + 256
 
     def check(self, count: Count) -> None:
