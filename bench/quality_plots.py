@@ -36,7 +36,7 @@ def bars(
 ) -> str:
     """One bar per name about zero, a whisker for the spread."""
     ends = [mean + side * spread for mean, spread in values.values() for side in (-1, 1)]
-    plot = _Plot(title, "", y_label, (0, len(values)), _padded([*ends, 0.0]))
+    plot = _Plot(title, "", y_label, (0, len(values)), _padded([*ends, 0.0]), right=10)
     for k, (name, (mean, spread)) in enumerate(values.items()):
         color = COLORS[0] if mean >= 0 else COLORS[1]
         left, right = plot.x(k + 0.25), plot.x(k + 0.75)
@@ -54,8 +54,17 @@ def bars(
 
 
 class _Plot:
-    def __init__(self, title: str, x_label: str, y_label: str, x: tuple[float, float], y: tuple[float, float]):
-        self._x, self._y = x, y
+    def __init__(
+        self,
+        title: str,
+        x_label: str,
+        y_label: str,
+        x: tuple[float, float],
+        y: tuple[float, float],
+        *,
+        right: int = 123,
+    ):
+        self._x, self._y, self._right = x, y, right  # [px] right of the data, for the legend
         self.parts = [
             f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {_HEIGHT}" width="{_WIDTH}" '
             f'height="{_HEIGHT}" font-family="sans-serif" font-size="11">',
@@ -73,7 +82,7 @@ class _Plot:
 
     def x(self, value: float) -> float:
         low, high = self._x
-        return _LEFT + 12 + (value - low) / ((high - low) or 1.0) * (_WIDTH - _LEFT - 135)
+        return _LEFT + 12 + (value - low) / ((high - low) or 1.0) * (_WIDTH - _LEFT - 12 - self._right)
 
     def y(self, value: float) -> float:
         low, high = self._y
