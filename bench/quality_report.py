@@ -29,6 +29,7 @@ GROUPS = {
     "Floaters, sky, passers-by, speed": (
         "sky sphere", "robust .1", "prune near", "prune unconfirmed", "warm-up .3", "sparse Adam",
     ),
+    "Exposures and poses of photos as they came": ("affine exposures", "refined poses"),
 }  # fmt: skip
 
 PAPER = {  # what the method's paper (GraphGS, ICLR 2025) prints, on Waymo

@@ -105,7 +105,7 @@ def test_a_stopped_run_goes_on_and_is_reported(bench, tmp_path, monkeypatch, cap
 
 
 def test_tuned_cases_take_the_best_rates_and_equal_time_takes_equal_seconds(bench, tmp_path, monkeypatch):
-    scores = {"plain": 20.0, "plain 0.7/1.4": 21.0}
+    scores = {"plain": 20.0, "plain 0.7/1": 21.0}
     jobs = []
 
     def fake(job):
@@ -117,9 +117,9 @@ def test_tuned_cases_take_the_best_rates_and_equal_time_takes_equal_seconds(benc
         }  # fmt: skip
 
     monkeypatch.setattr(quality, "measure", fake)
-    bench("--cases", "full", "plain", "plain 0.7/1.4", "plain tuned", "plain tuned, equal time", "--seeds", "1")
+    bench("--cases", "full", "plain", "plain 0.7/1", "plain tuned", "plain tuned, equal time", "--seeds", "1")
     by_name = {job.case.name: job for job in jobs}
-    assert by_name["plain tuned"].rates == by_name["plain tuned, equal time"].rates == (0.7, 1.4)
+    assert by_name["plain tuned"].rates == by_name["plain tuned, equal time"].rates == (0.7, 1.0)
     assert by_name["full"].rates == (1.0, 1.0)
     assert by_name["plain tuned, equal time"].steps == 1.5 * STEPS
 
