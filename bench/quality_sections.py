@@ -184,8 +184,8 @@ def rates(table: Table) -> str:
         return ""
     return "\n".join([
         "## How the control was tuned",
-        "Rates of the centres / all others, as multiples of the defaults: one of the two times 0.7 or 1.4, or both as they "
-        "are; the best PSNR on the held-out views with the first seed is taken, which favours the control.",
+        "Rates of the centres / all others, as multiples of the defaults: one of the two times 0.7 or 1.4, or both as "
+        "they are; the best PSNR on the held-out views with the first seed is taken, which favours the control.",
         "",
         markdown(["set", "runs", "best", "best dB", "default dB", "lowest dB"], body),
     ])  # fmt: skip
