@@ -143,6 +143,7 @@ def _folder(cache: Path, name: str) -> Path:
 def _prepare(name: str, recipe: Recipe, cache: Path, data: Path, threads: int) -> None:
     from graphgs.pipeline import PHOTOS
     from graphgs.sources import Photos
+    from graphgs.structure.colors import colored
     from graphgs.workspace import find_stage
 
     synthetic = recipe.photos in SYNTHETIC
@@ -152,8 +153,10 @@ def _prepare(name: str, recipe: Recipe, cache: Path, data: Path, threads: int) -
     if not work.exists() and (_root(cache) / "work" / base).exists():
         shutil.copytree(_root(cache) / "work" / base, work)  # features and coarse poses are the same
     _pose(source, work, recipe, threads)
-    model, edges, inliers = _reconstruction(recipe, source, work)
     photos = Photos.load(find_stage(work, PHOTOS).folder)
+    model, edges, inliers = _reconstruction(recipe, source, work)
+    if recipe.poses == "coarse":  # its points have no colours yet
+        model = colored(model, photos, threads=threads)
     is_test = dict(zip(photos.names, photos.is_test, strict=True))
     graph = build_camera_graph(model, np.array([is_test[photo] for photo in model.names]), edges, inliers)
     pruned = PointsConfig(target=max(1, round(OCTREE_SHARE * len(model.points))))

@@ -15,6 +15,7 @@ from graphgs.points import PrunedPoints
 from graphgs.rendering.rasterize import RenderOutput, rasterize
 
 NEAR = 0.01  # camera z, world units: the near plane of scenes that name none
+DARKEST = 1.0 / 255.0  # initial colour: at 0, where colours are clamped, a Gaussian has no gradient and stays black
 SH_C0 = 0.28209479177387814  # the constant spherical harmonic, 1 / (2 sqrt(pi))
 TENSORS = ("means", "quats", "log_scales", "logit_opacities", "sh_coeffs")
 
@@ -101,7 +102,7 @@ class Splats:
         colors = np.asarray(points.colors)
         colors = colors.astype(np.float32) / 255.0 if colors.dtype == np.uint8 else colors.astype(np.float32)
         sh_coeffs = torch.zeros(count, 16, 3)
-        sh_coeffs[:, 0] = (torch.from_numpy(colors) - 0.5) / SH_C0
+        sh_coeffs[:, 0] = (torch.from_numpy(colors).clamp(min=DARKEST) - 0.5) / SH_C0
         log_scales = np.log(np.maximum(np.asarray(points.scales, dtype=np.float64), 1e-12)).astype(np.float32)
         quats = torch.zeros(count, 4)
         quats[:, 0] = 1.0

@@ -31,11 +31,12 @@ class Schedule:
         Centres move exponentially less from the first to the last executed step. A short run takes longer strides
         (opacities do not: they settle within a hundred steps at any length)."""
         config = self._config
-        stride = max(1.0, REFERENCE_STEPS / config.steps) ** config.short_run_exponent
+        shortness = max(1.0, REFERENCE_STEPS / config.steps)
+        stride, means_stride = shortness**config.short_run_exponent, shortness**config.short_run_means_exponent
         progress = step / max(1, config.steps - 1)
         means_rate = config.means_rate ** (1.0 - progress) * config.means_rate_final**progress
         return {
-            "means": stride * extent * means_rate,
+            "means": means_stride * extent * means_rate,
             "quats": stride * config.quats_rate,
             "log_scales": stride * config.log_scales_rate,
             "logit_opacities": config.logit_opacities_rate,

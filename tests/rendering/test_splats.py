@@ -29,7 +29,7 @@ def test_initial_values_are_those_of_3dgs(dtype):
     np.testing.assert_allclose(splats.opacities, 0.1, rtol=1e-6)
     np.testing.assert_allclose(splats.scales, points.scales[:, None].repeat(3, 1), rtol=1e-6)
     colors = points.colors / 255.0 if dtype == np.uint8 else points.colors
-    np.testing.assert_allclose(SH_C0 * splats.sh_coeffs[:, 0] + 0.5, colors, atol=1e-6)
+    np.testing.assert_allclose(SH_C0 * splats.sh_coeffs[:, 0] + 0.5, np.maximum(colors, 1 / 255), atol=1e-6)
     assert not splats.sh_coeffs[:, 1:].any()
     assert all(getattr(splats, name).dtype == torch.float32 for name in TENSORS)
 
@@ -64,3 +64,13 @@ def test_a_gaussian_shows_at_its_projection(device):
     row, column = divmod(int(out.alphas[0, ..., 0].argmax()), 40)
     assert (column, row) in {(21, 10), (22, 10), (21, 11), (22, 11)}  # (22, 11) is a corner of four pixels
     assert out.colors[0, row, column, 0] > 2 * out.colors[0, row, column, 1]
+
+
+def test_a_black_point_can_still_learn():
+    points = PrunedPoints(np.array([[0.0, 0.0, 2.0]]), np.zeros((1, 3), np.uint8), np.array([0.1]), np.zeros(1), 0.0)
+    splats = Splats.from_points(points, initial_opacity=0.9)
+    splats.sh_coeffs.requires_grad_()
+    K = np.array([[40.0, 0.0, 20.0], [0.0, 40.0, 12.0], [0.0, 0.0, 1.0]])
+    out = render(splats, K, np.eye(4), 40, 24, sh_degree=0)
+    (1.0 - out.colors).sum().backward()
+    assert (splats.sh_coeffs.grad[0, 0] < -1.0).all()  # brighter is better, and it knows

@@ -33,6 +33,7 @@ def test_a_short_run_goes_through_every_phase_but_resets():
     whole, short = Schedule(TrainConfig()).rates(29_999, extent=1.0), schedule.rates(1999, extent=1.0)
     strides = {name: short[name] / whole[name] for name in whole}
     assert strides.pop("logit_opacities") == 1.0
+    assert strides.pop("means") == pytest.approx(15**0.375)
     assert strides == pytest.approx(dict.fromkeys(strides, 15**0.25))
 
 
