@@ -102,8 +102,8 @@ CASES = (
     Case("random .4", "the same number of points drawn at random", points="random"),
     # Densification
     Case("mcmc", "densification by sampling (3DGS as MCMC)", {"strategy": "mcmc"}, order=1.4),
-    Case("absgrad", "absolute gradients (AbsGS)", {"absgrad": True}, order=1.4),
-    Case("revised opacity", "halves of a split share the opacity", {"revised_opacity": True}, order=1.4),
+    Case("signed gradients", "gradients that may cancel over pixels (3DGS)", {"absgrad": False}, order=1.4),
+    Case("kept opacity", "halves of a split keep the opacity (3DGS)", {"revised_opacity": False}, order=1.4),
     # Floaters, sky, passers-by, speed
     Case("sky sphere", "Gaussians on a far sphere from the start", {"sky": "sphere"}, order=1.5),
     Case("robust .1", "up to a tenth of a photo left out", {"robust_share": 0.1}, order=1.5),

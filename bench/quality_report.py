@@ -25,7 +25,7 @@ GROUPS = {
         "uniform at .6",
     ),
     "Initial points": ("all points", "octree .4", "random .4"),
-    "Densification": ("mcmc", "absgrad", "revised opacity"),
+    "Densification": ("mcmc", "signed gradients", "kept opacity"),
     "Floaters, sky, passers-by, speed": (
         "sky sphere", "robust .1", "prune near", "prune unconfirmed", "warm-up .3", "sparse Adam",
     ),
@@ -87,7 +87,8 @@ Made by `python -m bench.quality --report` from `bench/results/quality.jsonl`; n
 - **How**: {table.steps} executed steps (less where it says so), at most 20,000 Gaussians (the `preview` preset), poses
   from our own structure estimation. `street` has the exact poses, `street-own` the same photos with our own; both are
   synthetic, three cameras on a vehicle, every 4th frame; `drive` is synthetic, one camera, every frame, exact poses.
-  Photos are stored as JPEG of quality {JPEG_QUALITY} at the training size.
+  Photos are stored as JPEG of quality {JPEG_QUALITY} at the training size. Defaults are those of that commit; what
+  was changed since, and why, stands in decisions/0020 and 0024.
 - **Judged** on every 8th photo, never trained on; {missing} held-out photos could not be placed and are not in the
   means. PSNR is the mean over held-out views, "worst" its lowest view. Up to {seeds} seeds; ± is the standard deviation
   over them.

@@ -89,13 +89,14 @@ class TrainConfig:
     """Weight of the mean standard deviation, in scene extents; None = 0.01 for mcmc (as there), 0 otherwise."""
 
     # Adaptive control
-    densify_gradient: float = 2e-4
-    """Mean 2D gradient, in half image sizes (NDC), above which a Gaussian is cloned or split."""
-    absgrad: bool = False
-    """Sum the gradient over pixels by size instead (AbsGS, Ye et al. 2024)."""
+    absgrad: bool = True
+    """Sum the 2D gradient over pixels by size (AbsGS, Ye et al. 2024), not with its sign as 3DGS does
+    (docs/decisions/0024-densification.md)."""
     densify_absgrad: float = 8e-4
-    """The threshold then (gsplat, Ye et al. 2024)."""
-    revised_opacity: bool = False
+    """Its mean, in half image sizes (NDC), above which a Gaussian is cloned or split (gsplat, Ye et al. 2024)."""
+    densify_gradient: float = 2e-4
+    """The same without `absgrad`."""
+    revised_opacity: bool = True
     """Give both halves of a clone or split the opacity 1 - sqrt(1 - o) (Revising Densification, Rota Bulo et al.)."""
     densify_scale: float = 0.01
     """Largest standard deviation, in scene extents, up to which a Gaussian is cloned; a larger one is split."""

@@ -18,8 +18,9 @@ SMALL, LARGE = 0.001, 0.05  # standard deviations in extents; the border is 0.01
 
 
 def _setting(sizes, opacities, *, max_splats=100, seed=0, **options):
-    """Gaussians far apart on x, of given sizes (in extents) and opacities."""
+    """Gaussians far apart on x, of given sizes (in extents) and opacities; 3DGS's rules unless others are named."""
     count = len(sizes)
+    options = {"absgrad": False, "revised_opacity": False} | options
     config = TrainConfig(steps=30_000, max_splats=max_splats, **options)
     splats = Splats(
         means=torch.stack([10.0 * torch.arange(count), torch.zeros(count), torch.zeros(count)], 1),

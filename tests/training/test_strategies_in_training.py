@@ -23,8 +23,9 @@ SHORT = TrainConfig(
     mcmc_growth=0.2,
 )
 CHOICES = {
-    "absgrad": {"absgrad": True},
-    "revised": {"revised_opacity": True, "opacity_reg": 0.01, "scale_reg": 0.01},
+    "default": {},
+    "3dgs": {"absgrad": False, "revised_opacity": False},
+    "regularised": {"opacity_reg": 0.01, "scale_reg": 0.01},
     "mcmc": {"strategy": "mcmc"},
 }
 
