@@ -82,6 +82,7 @@ class Found:
     similar: np.ndarray  # [N, k] look-alikes
     edges: np.ndarray  # [E, 2] verified
     note: str
+    focal_open: bool  # the photos do not show their focal length
 
     @property
     def placed(self) -> int:
@@ -156,9 +157,10 @@ def run_attempt(
     reporter.event("coarse_attempt", **dataclasses.asdict(attempt), pairs=len(pairs), edges=len(edges), placed=placed)
     by = " by learned matches" if attempt.learned else ""
     note = f"own reconstruction at {attempt.max_side} px{by} places {placed} of {n} photos"
-    if hold and not attempt.hold:
+    focal_open = hold and not vote.decided
+    if focal_open:
         note += f"; {held_note(cameras, shared_cameras(photos).known)}"
-    return Found(found, cameras, hold, similar, edges, note)
+    return Found(found, cameras, hold, similar, edges, note, focal_open)
 
 
 def _best_mapping(

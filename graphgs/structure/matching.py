@@ -237,8 +237,9 @@ def witness_pairs(
     similar: np.ndarray,  # [N, k] look-alikes, best first
     tried: set[tuple[int, int]],
 ) -> list[tuple[int, int]]:
-    """Each photo's best look-alikes that the poses gave no reason to match. Where poses fold, these are the photos that
-    truly stand side by side, and their matches will contradict the model; where they are sound, there are hardly any."""
+    """Each photo's best look-alikes that the poses gave no reason to match. Where poses fold, these are the photos
+    that truly stand side by side, and their matches will contradict the model; where they are sound, there are hardly
+    any."""
     rows, ranks = np.nonzero(similar[:, :_WITNESSES] >= 0)
     pairs = {(min(i, j), max(i, j)) for i, j in zip(rows.tolist(), similar[rows, ranks].tolist(), strict=True)}
     return sorted(pairs - tried)
