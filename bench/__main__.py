@@ -40,6 +40,9 @@ WORKLOADS = {
     "octree": Workload("octree", "pruning 300,000 points"),
     "structure": Workload("structure", "pairs, matching, mapping: 150 and 600 photos", cached=True, on_request=True),
     "structure-quick": Workload("structure_quick", "the same on 75 photos", cached=True, on_request=True),
+    "structure-noise": Workload(
+        "structure_noise", "pairs from noisy poses: 60 and 150 photos", cached=True, on_request=True
+    ),
     "gpu-static": Workload(
         "gpu_static", "what the compiler says about the GPU's kernels; needs no GPU", same_everywhere=True
     ),
