@@ -189,6 +189,7 @@ def test_the_command_line(scene, capsys):
     text = capsys.readouterr().out
     for words in (
         "9 of 13 photos placed",
+        "caution: the focal length is open",
         "0.70° (99 %)",
         "night: 2 photos",
         "take photos from day/003.jpg to night/100.jpg",
