@@ -47,7 +47,7 @@ def picture(rows: list[dict]) -> Markup:
     ]
     drawn = [_panel(rows, label, value) for label, value in panels]
     width, height = len(panels) * WIDTH + LEGEND, HEIGHT + TOP
-    places = [element("g", panel, transform=f"translate({k * WIDTH} {TOP})") for k, panel in enumerate(drawn)]
+    places = [element("svg", panel, x=k * WIDTH, y=TOP, width=WIDTH, height=HEIGHT) for k, panel in enumerate(drawn)]
     title = f"{photos} photos: noise on the prior, each selector, the same reconstruction"
     return element(
         "svg",
