@@ -65,7 +65,7 @@ def picture(rows: list[dict]) -> Markup:
 
 def _panel(rows: list[dict], label: str, value: Callable[[dict], float]) -> Markup:
     values = [value(row) for row in rows if value(row) > 0]
-    x = x_scale(0.0, max(row["noise"] for row in rows))
+    x = x_scale(0.0, 1.001 * max(row["noise"] for row in rows))
     y = y_scale(min(values) * 0.8, max(values) * 1.25, log=True)
     lines = []
     for name, color in COLORS.items():

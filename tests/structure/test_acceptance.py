@@ -69,7 +69,7 @@ def test_cameras_that_turned_are_refused():
 
 
 def test_a_fine_model_far_from_the_coarse_one_is_no_agreement():
-    """Figures of a straight drive whose coarse model had bent and whose fine model, 2.5 % off, had half straightened."""
+    """Figures of a straight drive whose coarse model had bent; the fine one had half straightened, and was wrong."""
     assert not Agreement(51, 1.72, 8.80, 0.0398).within(CONFIG)
     assert Agreement(30, 0.51, 1.03, 0.0109).within(CONFIG)  # of sound models, the pair furthest apart
 
