@@ -86,7 +86,7 @@ class Found:
     similar: np.ndarray  # [N, k] look-alikes
     edges: np.ndarray  # [E, 2] verified
     note: str
-    focal_open: bool  # the photos do not show their focal length
+    focal_open: bool = False  # the photos do not show their focal length
 
     @property
     def placed(self) -> int:
