@@ -47,6 +47,7 @@ WORKLOADS = {
         "gpu_static", "what the compiler says about the GPU's kernels; needs no GPU", same_everywhere=True
     ),
     "pairing": Workload("pairing", "choosing pairs for 600 to 100,000 cameras, and how well the gate tells"),
+    "gate-2k": Workload("gate_2k", "how well the overlap gate tells on a street of 2000 photos", on_request=True),
     "pairing-1m": Workload("pairing_million", "choosing pairs for a million cameras", on_request=True),
 }
 
