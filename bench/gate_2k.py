@@ -3,7 +3,6 @@
 Truth is known for the concentric candidates alone: all pairs would be two million.
 """
 
-
 from bench.metrics import Metric
 from bench.overlap_gate import NOISE, NOISE_SIGMA, OVERLAPPING, Setting
 from graphgs.structure import concentric_pairs
