@@ -69,7 +69,7 @@ class Structure:
         header["unregistered"] = tuple(tuple(entry) for entry in header["unregistered"])
         header["rigs"] = tuple(RigPose.load(folder / f"rig_{k}.npz") for k in range(header["rigs"]))
         header["world"] = from_plain(header["world"])
-        header["cautions"] = tuple(header["cautions"])
+        header["cautions"] = tuple(header.get("cautions", ()))  # older ones have none
         header["diagnosis"] = Diagnosis.load(folder) if (folder / "diagnosis.json").is_file() else None
         with np.load(folder / "edges.npz", allow_pickle=False) as arrays:
             return Structure(Reconstruction.load(folder), **dict(arrays), **header)
