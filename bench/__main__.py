@@ -38,11 +38,15 @@ WORKLOADS = {
     "octree": Workload("octree", "pruning 300,000 points"),
     "structure": Workload("structure", "pairs, matching, mapping: 150 and 600 photos", cached=True, on_request=True),
     "structure-quick": Workload("structure_quick", "the same on 75 photos", cached=True, on_request=True),
+    "structure-noise": Workload(
+        "structure_noise", "pairs from noisy poses: 60 and 150 photos", cached=True, on_request=True
+    ),
     "gpu-static": Workload(
         "gpu_static", "what the compiler says about the GPU's kernels; needs no GPU", same_everywhere=True
     ),
     "quality": Workload("quality", "scenes learned with and without each part", on_request=True, options=True),
     "pairing": Workload("pairing", "choosing pairs for 600 to 100,000 cameras, and how well the gate tells"),
+    "gate-2k": Workload("gate_2k", "how well the overlap gate tells on a street of 2000 photos", on_request=True),
     "pairing-1m": Workload("pairing_million", "choosing pairs for a million cameras", on_request=True),
 }
 

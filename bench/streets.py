@@ -37,7 +37,8 @@ class Street:
     photos: Photos
     truth: Reconstruction
     prior: Prior
-    coarse_cpu_s: float  # what the coarse poses took
+    coarse_cpu_s: float  # what the coarse poses took; another seed shares the features and matches of the first
+    seed: int = 0  # of the mapping
 
     def error(self, model: Reconstruction) -> float:
         """Median position error in % of the scene's diameter, after alignment; photos that are missing count as off by
@@ -49,8 +50,8 @@ class Street:
         return 100 * float(np.median(np.concatenate([off, missing]))) / diameter(self.truth.centers)
 
 
-def street(cache: Path, frames: int) -> Street:
-    """The street of so many frames, each part made unless it is there."""
+def street(cache: Path, frames: int, *, seed: int = 0) -> Street:
+    """The street of so many frames, each part made unless it is there. The seed is that of its mapping."""
     base = cache / f"street_{frames}x{CAMERAS}_{WIDTH}x{HEIGHT}"
     synthesize("street", base, StreetConfig(frames=frames, cameras=CAMERAS, width=WIDTH, height=HEIGHT, depth=False))
     if not (base / "photos").exists():
@@ -62,18 +63,19 @@ def street(cache: Path, frames: int) -> Street:
     photos, features = Photos.load(base / "photos"), FeatureCache(base / "features")
     folder = base / f"made_by_{_version()}"
     folder.mkdir(exist_ok=True)
-    if not (folder / "prior").exists():
+    stored = folder / f"prior_{seed}"
+    if not stored.exists():
         with cpu_seconds() as spent:
             prior = coarse_poses(
-                CONFIG, photos, scratch=folder / "coarse", reporter=Reporter(), threads=1, seed=0,
+                CONFIG, photos, scratch=folder / "coarse", reporter=Reporter(), threads=1, seed=seed,
                 cache=features,
             )  # fmt: skip
-        partial = folder / "prior.partial"
+        partial = folder / f"prior_{seed}.partial"
         prior.save(partial)
         (partial / "cpu.json").write_text(json.dumps(spent))
-        partial.rename(folder / "prior")
-    seconds = json.loads((folder / "prior" / "cpu.json").read_text())[0]
-    return Street(folder, features, photos, read_model(base / "truth"), Prior.load(folder / "prior"), seconds)
+        partial.rename(stored)
+    seconds = json.loads((stored / "cpu.json").read_text())[0]
+    return Street(folder, features, photos, read_model(base / "truth"), Prior.load(stored), seconds, seed)
 
 
 @contextmanager

@@ -58,20 +58,28 @@ class Timed:
         return sum(self.cost[tuple(pair)] for pair in pairs.tolist())
 
 
-def timed_matches(street: Street, preset: Preset, pairs: np.ndarray) -> Timed:
-    """The pairs matched with the features of a preset, in a database that keeps what was matched before."""
+def feature_database(street: Street, preset: Preset) -> tuple[Path, np.ndarray]:
+    """(database, [N] features per photo) of a preset, made unless it is there. Its folder is for what comes of it."""
     folder = street.folder / f"matches_{preset.features}_{preset.first_octave}_{preset.max_side}"
     folder.mkdir(parents=True, exist_ok=True)
     counts = extract_features(
         street.photos, folder / "features", max_side=preset.max_side, max_features=preset.features,
         first_octave=preset.first_octave, threads=1, progress=lambda done, total: None, cache=street.features,
     )  # fmt: skip
-    database, wanted = folder / "database.db", folder / "wanted.npy"
-    times, found = folder / "times.npz", folder / "verified.npz"
-    np.save(wanted, pairs)
+    database = folder / "database.db"
     with ColmapWorker(folder) as worker:
         create_database(worker, database, street.photos, street.prior.cameras, folder / "features")
-        subprocess.run([sys.executable, "-m", "bench.pair_times", database, wanted, times], check=True)
+    return database, counts
+
+
+def timed_matches(street: Street, preset: Preset, pairs: np.ndarray) -> Timed:
+    """The pairs matched with the features of a preset, in a database that keeps what was matched before."""
+    database, counts = feature_database(street, preset)
+    folder = database.parent
+    wanted, times, found = folder / "wanted.npy", folder / "times.npz", folder / "verified.npz"
+    np.save(wanted, pairs)
+    subprocess.run([sys.executable, "-m", "bench.pair_times", database, wanted, times], check=True)
+    with ColmapWorker(folder) as worker:
         worker.run("settle", database=database)
         worker.run("verified", database=database, out=found)
     with np.load(times) as arrays:

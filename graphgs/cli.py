@@ -243,6 +243,8 @@ def _finished(result, json: bool) -> None:
         return
     metrics = result.metrics
     print(f"done: {metrics['registered']} of {metrics['images']} photos placed")
+    for caution in metrics["cautions"]:
+        print(printable(f"      caution: {caution}"))
     if metrics["psnr"] is not None:
         views = len(metrics["views"])
         print(f"      {metrics['num_splats']} Gaussians, {metrics['psnr']:.2f} dB on {views} held-out views")

@@ -91,6 +91,7 @@ def collect_metrics(run: Run, posed: Posed, made: Made | None, versions: dict[st
         "registered": len(posed.structure.reconstruction.names),
         "rigs": [rig.record() for rig in posed.structure.rigs],
         "world": plain(posed.structure.world),
+        "cautions": list(posed.structure.cautions),
         "skipped": {s.name: s.reason for s in posed.photos.skipped},
         "pairs_candidate": None if posed.pairs is None else len(posed.pairs.pairs),
         "pairs_exhaustive": n * (n - 1) // 2,

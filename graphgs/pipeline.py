@@ -341,6 +341,8 @@ def _viewed(
     pairs: Pairs | None,
     matches: Matches | None,
 ) -> Posed:
+    for caution in structure.cautions:  # of a reused structure as well
+        run.reporter.warn(caution)
     model = structure.reconstruction
     views = run.stage(
         VIEWS,

@@ -11,6 +11,8 @@ def scene_lines(facts: dict[str, Any]) -> Iterator[str]:
     yield f"{facts['placed']} of {facts['photos']} photos placed; {verdict} ({facts['method']})"
     for doubt in facts["doubts"]:
         yield f"  doubt: {doubt}"
+    for caution in facts["cautions"]:
+        yield f"  caution: {caution}"
     yield from _sureness(facts)
     yield from _groups(facts["groups"])
     unused = facts["left_out"] + facts["skipped"]

@@ -74,6 +74,7 @@ def coarse_poses(
         centers=centers,
         cameras=cameras,
         hold_intrinsics=best.hold_intrinsics,
+        focal_open=best.focal_open,
         source="auto",
         note=best.note,
         reconstruction=reconstruction,

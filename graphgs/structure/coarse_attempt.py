@@ -13,7 +13,9 @@ from graphgs.sources.rigs import Rig
 from graphgs.structure.cameras import SharedCameras, rescaled, shared_cameras
 from graphgs.structure.colmap import ColmapWorker
 from graphgs.structure.config import StructureConfig
+from graphgs.structure.contradictions import support_of
 from graphgs.structure.database import by_photo_names, create_database
+from graphgs.structure.evidence import VerifiedMatches, read_verified
 from graphgs.structure.feature_cache import FeatureCache
 from graphgs.structure.features import extract_features, load_descriptors
 from graphgs.structure.focal_held import held_note, is_observable
@@ -21,6 +23,7 @@ from graphgs.structure.focal_vote import vote_of_pairs
 from graphgs.structure.learned import learned_features, learned_matches
 from graphgs.structure.retrieval import similar_photos
 from graphgs.structure.rigs import same_frame_pairs, sequences
+from graphgs.structure.soundness import LARGEST_STRENGTH
 
 # Looser than COLMAP's defaults: features are few, and a wrong photo here costs pairs only.
 _VERIFICATION = {"min_num_inliers": 12}
@@ -60,6 +63,7 @@ _HELD = {
 _RETRIEVAL_DEPTH = 20  # look-alikes kept per photo, for bridges later
 _LARGEST_DRIFT = 1.6  # a focal length that mapping changed by more is a sign of a broken model
 _OTHER_GUESSES = (0.72, 1.39)  # of the typical focal length, where the photos leave it open: 19 and 36 mm equivalent
+_FURTHER_SEEDS = (100, 200)  # offsets, tried where a mapping is contradicted
 _ABOUT_AS_MANY = 0.98  # of the photos that the best mapping places
 
 
@@ -82,6 +86,7 @@ class Found:
     similar: np.ndarray  # [N, k] look-alikes
     edges: np.ndarray  # [E, 2] verified
     note: str
+    focal_open: bool = False  # the photos do not show their focal length
 
     @property
     def placed(self) -> int:
@@ -147,18 +152,58 @@ def run_attempt(
     guesses = [cameras]
     if vote.flat and not all(shared_cameras(photos).known):
         guesses += [rescaled(shared_cameras(photos), scale) for scale in _OTHER_GUESSES]
-    found, cameras = _best_mapping(photos, guesses, attempt, hold, worker, work, reporter, threads)
+    run = (worker, work, reporter, threads)
+    found, cameras = _best_mapping(photos, guesses, attempt, hold, *run)
     if found is not None and not (hold or vote.decided):
         hold = not _observable(worker, work / _model_name(attempt, 0, hold=False), attempt, reporter, threads)
         if hold:
-            found, cameras = _best_mapping(photos, guesses, attempt, hold, worker, work, reporter, threads)
+            found, cameras = _best_mapping(photos, guesses, attempt, hold, *run)
+    if found is not None:
+        found, cameras = _less_contradicted(photos, found, guesses, cameras, attempt, hold, *run)
     placed = 0 if found is None else len(found.names)
     reporter.event("coarse_attempt", **dataclasses.asdict(attempt), pairs=len(pairs), edges=len(edges), placed=placed)
     by = " by learned matches" if attempt.learned else ""
     note = f"own reconstruction at {attempt.max_side} px{by} places {placed} of {n} photos"
-    if hold and not attempt.hold:
+    focal_open = hold and not vote.decided
+    if focal_open:
         note += f"; {held_note(cameras, shared_cameras(photos).known)}"
-    return Found(found, cameras, hold, similar, edges, note)
+    return Found(found, cameras, hold, similar, edges, note, focal_open)
+
+
+def _less_contradicted(
+    photos: Photos,
+    found: Reconstruction,
+    guesses: list[SharedCameras],
+    cameras: SharedCameras,
+    attempt: Attempt,
+    hold: bool,
+    worker: ColmapWorker,
+    work: Path,
+    reporter: Reporter,
+    threads: int,
+) -> tuple[Reconstruction, SharedCameras]:
+    """Where its own matches contradict the mapping that was found (`contradictions`), it broke or folded: then other
+    seeds are tried, and the mapping that is contradicted least is taken."""
+    verified = read_verified(work / "database.db")
+    best, least = (found, cameras), _contradiction(found, photos, verified)
+    for offset in _FURTHER_SEEDS:
+        if least < LARGEST_STRENGTH:
+            break
+        another = dataclasses.replace(attempt, seed=attempt.seed + offset)
+        other, its_cameras = _best_mapping(photos, guesses, another, hold, worker, work, reporter, threads)
+        if other is None or len(other.names) < _ABOUT_AS_MANY * len(best[0].names):
+            continue
+        strength = _contradiction(other, photos, verified)
+        reporter.event("coarse_again", seed=another.seed, contradiction=strength, before=least)
+        if strength < least:
+            best, least = (other, its_cameras), strength
+    return best
+
+
+def _contradiction(model: Reconstruction, photos: Photos, verified: VerifiedMatches) -> float:
+    """The largest strength of a pair that contradicts the model."""
+    support = support_of(model, photos.names, verified)
+    return float(support.objections(_VERIFICATION["min_num_inliers"]).max(initial=0.0))
 
 
 def _best_mapping(

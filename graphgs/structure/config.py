@@ -52,11 +52,11 @@ class StructureConfig:
     on the same matches, as baselines."""
     min_registered: float = 0.95
     """Share of the chosen group's photos that must be placed for the result to be accepted."""
-    max_rotation_median_deg: float = 2.0
+    max_rotation_median_deg: float = 1.0
     """[deg] largest median change of pairwise rotation between first and final reconstruction."""
-    max_rotation_p99_deg: float = 10.0
+    max_rotation_p99_deg: float = 5.0
     """[deg] largest 99th percentile of the same."""
-    max_camera_shift: float = 0.05
+    max_camera_shift: float = 0.025
     """Largest distance a camera may move between first and final reconstruction, as a share of the scene."""
 
     rig_refinement: Literal["constrained", "free"] = "constrained"

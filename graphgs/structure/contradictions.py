@@ -41,6 +41,10 @@ class PairSupport:
             np.maximum.at(best, self.pairs[:, side], self.supported)
         return self.contradicted / best[self.pairs].min(1)
 
+    def objections(self, least: int) -> np.ndarray:
+        """[E] `strength` of the pairs that contradict the model with enough matches to be meant, else 0."""
+        return self.strength(least) * (self.contradicted >= 2 * least)
+
 
 def support_of(
     model: Reconstruction,

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from graphgs.structure.cameras import SharedCameras
 from graphgs.structure.colmap import ColmapWorker
+from graphgs.structure.prior import Prior
 
 _AWAY = 1.25  # factor, to both sides: 3 % is within the noise of a few photos
 _LEAST_RISE = 0.01  # of the mean reprojection error: straight driving .0007, a room's corner of 8 photos .06
@@ -23,6 +24,21 @@ def is_observable(worker: ColmapWorker, model: Path, *, seed: int, threads: int)
     # An adjustment that comes apart is an objection, too.
     rise = min(error if math.isfinite(error) else math.inf for error in others) / max(best, 1e-12) - 1.0
     return rise >= _LEAST_RISE, rise
+
+
+def cautions(prior: Prior, told: tuple[bool, ...]) -> tuple[str, ...]:
+    """What it means for the world if the photos do not show the focal length of a camera, nor anybody tells it (`told`,
+    per camera of the prior)."""
+    cameras = prior.cameras.cameras
+    guessed = sorted({round(camera.params[0]) for camera, known in zip(cameras, told, strict=True) if not known})
+    if not (prior.focal_open and guessed):
+        return ()
+    values = ", ".join(f"{focal} px" for focal in guessed)
+    return (
+        f"the photos do not show their focal length (straight driving does not), and it was held at {values}, a "
+        "typical one: the scene may be stretched along the drive by any factor, without any error that shows. If you "
+        "know the focal length, give it with --set sources.focal_px=PIXELS",
+    )
 
 
 def held_note(cameras: SharedCameras, told: tuple[bool, ...]) -> str:

@@ -11,10 +11,12 @@ from graphgs.errors import DataError
 from graphgs.progress import Reporter
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.sources.photos import Photos
+from graphgs.structure.cameras import shared_cameras
 from graphgs.structure.colmap import ColmapWorker
 from graphgs.structure.colors import colored
 from graphgs.structure.config import StructureConfig
 from graphgs.structure.diagnosis import diagnose
+from graphgs.structure.focal_held import cautions
 from graphgs.structure.given import map_given
 from graphgs.structure.ladder import Candidate, climb, judged
 from graphgs.structure.matching import Matches
@@ -79,6 +81,7 @@ def map_fine(
         rigs,
         world,
         diagnosis,
+        cautions(prior, shared_cameras(photos).known),
     )
 
 

@@ -23,7 +23,8 @@ class Prior:
     cameras: SharedCameras  # intrinsics of all photos, as far as known
     hold_intrinsics: bool  # the photos do not determine them (straight driving): do not refine
     source: str  # auto | poses | gps | sequence
-    note: str = ""  # how it came about, for the report
+    note: str = ""  # how it came about
+    focal_open: bool = False  # the photos do not show their focal length (straight driving)
     oriented: bool = True  # False: positions only, `rotations` say nothing
     reconstruction: Reconstruction | None = None
     similar: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), np.int64))  # [N, k] look-alikes, best first
@@ -43,7 +44,10 @@ class Prior:
         folder.mkdir(parents=True, exist_ok=True)
         arrays = {k: getattr(self, k) for k in ("placed", "rotations", "centers", "similar")}
         np.savez(folder / "prior.npz", camera_ids=self.cameras.camera_ids, **arrays)
-        header = {k: getattr(self, k) for k in ("names", "hold_intrinsics", "source", "note", "oriented", "origin")}
+        header = {
+            k: getattr(self, k)
+            for k in ("names", "hold_intrinsics", "focal_open", "source", "note", "oriented", "origin")
+        }
         header["cameras"] = self.cameras.records()
         (folder / "prior.json").write_text(json.dumps(header, indent=1))
         if self.reconstruction is not None:

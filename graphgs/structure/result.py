@@ -31,6 +31,7 @@ class Structure:
     rigs: tuple[RigPose, ...] = ()  # where the cameras of each rig sit on it
     world: WorldFrame | None = None  # None: the world's scale and axes are arbitrary
     diagnosis: Diagnosis | None = None  # None: nothing was matched
+    cautions: tuple[str, ...] = ()  # what the photos leave open, though nothing contradicts the result; for people
 
     @property
     def status(self) -> str:
@@ -53,6 +54,7 @@ class Structure:
             "unregistered": [list(entry) for entry in self.unregistered],
             "rigs": len(self.rigs),
             "world": plain(self.world),
+            "cautions": list(self.cautions),
         }
         for k, rig in enumerate(self.rigs):
             rig.save(folder / f"rig_{k}.npz")
@@ -67,6 +69,7 @@ class Structure:
         header["unregistered"] = tuple(tuple(entry) for entry in header["unregistered"])
         header["rigs"] = tuple(RigPose.load(folder / f"rig_{k}.npz") for k in range(header["rigs"]))
         header["world"] = from_plain(header["world"])
+        header["cautions"] = tuple(header.get("cautions", ()))  # older ones have none
         header["diagnosis"] = Diagnosis.load(folder) if (folder / "diagnosis.json").is_file() else None
         with np.load(folder / "edges.npz", allow_pickle=False) as arrays:
             return Structure(Reconstruction.load(folder), **dict(arrays), **header)

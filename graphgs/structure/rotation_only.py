@@ -9,8 +9,8 @@ import numpy as np
 from graphgs.structure.cameras import SharedCameras
 from graphgs.structure.evidence import VerifiedMatches
 
-_SCALES = np.geomspace(0.4, 4.0, 36)  # of the focal length, where it was guessed
-_SCALES_KNOWN = np.geomspace(0.7, 1.43, 13)  # where the photos tell it
+_SCALES = np.geomspace(0.4, 4.0, 36)  # of the focal length believed so far
+_NEARLY = 1.43  # a focal length that the photos tell is right to this factor; if not, a turn must show it
 _CLOSE, _CLOSEST_PX = 0.002, 1.0  # of the longer side: a match that a turn explains; features are that precise
 _MOST_PAIRS, _MOST_MATCHES = 200, 200  # looked at, per pair
 _ROUNDS = 4  # of reweighting
@@ -42,8 +42,10 @@ class RotationFit:
 
 
 def fit_rotations(verified: VerifiedMatches, cameras: SharedCameras, *, focal_known: bool) -> RotationFit:
-    """One rotation per pair and one factor for all focal lengths; lens distortion is left out."""
-    scales = _SCALES_KNOWN if focal_known else _SCALES
+    """One rotation per pair and one factor for all focal lengths; lens distortion is left out.
+
+    A walk along a plane is explained the better the longer the focal length, a turn at its true one. So a focal length
+    that the photos tell (`focal_known`) may be wrong by any factor, unless the longest one explains them as well."""
     chosen, starts = _sample(verified)
     if not len(chosen):
         return RotationFit(0.0, 1.0)
@@ -53,11 +55,13 @@ def fit_rotations(verified: VerifiedMatches, cameras: SharedCameras, *, focal_kn
     )
     f_i, f_j = (intrinsics[cameras.camera_ids[verified.pairs[pair_of, side]]] for side in range(2))
     shares = np.array(
-        [_explained(verified.xy_i[chosen], verified.xy_j[chosen], f_i, f_j, scale, starts) for scale in scales]
+        [_explained(verified.xy_i[chosen], verified.xy_j[chosen], f_i, f_j, scale, starts) for scale in _SCALES]
     )
+    endless = bool(shares[-1] >= LARGEST_TURNING_SHARE)
+    if focal_known and endless:
+        shares = np.where(np.abs(np.log(_SCALES)) <= np.log(_NEARLY), shares, 0.0)
     best = int(shares.argmax())
-    endless = not focal_known and shares[-1] >= LARGEST_TURNING_SHARE
-    return RotationFit(float(shares[best]), float(scales[best]), bool(endless))
+    return RotationFit(float(shares[best]), float(_SCALES[best]), endless and not focal_known)
 
 
 def _sample(verified: VerifiedMatches) -> tuple[np.ndarray, np.ndarray]:

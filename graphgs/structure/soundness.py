@@ -55,7 +55,7 @@ class Witness:
     def judge(self, model: Reconstruction) -> tuple[Soundness, PairSupport]:
         """The model by the matches it was made from."""
         support = support_of(model, self.photos.names, self.verified)
-        strength = self._strength(support)
+        strength = support.objections(self.min_inliers)
         worst = int(strength.argmax()) if len(strength) else -1
         pair = None if worst < 0 or strength[worst] == 0 else tuple(model.names[k] for k in support.pairs[worst])
         figures = {
@@ -71,11 +71,7 @@ class Witness:
 
     def objections(self, support: PairSupport) -> np.ndarray:
         """[K, 2] the pairs that contradict the model strongly enough to doubt it."""
-        return support.pairs[self._strength(support) >= LARGEST_STRENGTH]
-
-    def _strength(self, support: PairSupport) -> np.ndarray:
-        """[E] PairSupport.strength of the pairs that contradict a model with enough matches to be meant, else 0."""
-        return support.strength(self.min_inliers) * (support.contradicted >= 2 * self.min_inliers)
+        return support.pairs[support.objections(self.min_inliers) >= LARGEST_STRENGTH]
 
 
 def _doubts(figures: dict, model: Reconstruction, photos: Photos, rotation: RotationFit):

@@ -80,6 +80,7 @@ def scene(tmp_path) -> Path:
     structure = Structure(
         model, EDGES, inliers, True, "by hand", Agreement(9, 0.2, 0.7, 0.004), "the coarse reconstruction", m,
         tuple((entry.name, entry.reason) for entry in diagnosis.left_out), diagnosis=diagnosis,
+        cautions=("the focal length is open",),
     )  # fmt: skip
     is_test = photos.is_test[:m]
     kinds = np.full(len(EDGES) - 1, NEIGHBOUR, np.uint8)
@@ -118,6 +119,7 @@ def test_the_scene_in_plain_values(scene):
     weakest = facts["weakest"][0]
     assert (weakest["name"], weakest["because"], weakest["points"]) == ("day/007.jpg", "few points", 30)
     assert weakest["weakness"] == 10.0
+    assert facts["cautions"] == ["the focal length is open"]
     json.dumps(facts, allow_nan=False)
 
 
@@ -187,6 +189,7 @@ def test_the_command_line(scene, capsys):
     text = capsys.readouterr().out
     for words in (
         "9 of 13 photos placed",
+        "caution: the focal length is open",
         "0.70° (99 %)",
         "night: 2 photos",
         "take photos from day/003.jpg to night/100.jpg",

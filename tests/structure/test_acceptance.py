@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from graphgs.scene.camera import Camera
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.scene.similarity import Similarity
-from graphgs.structure.acceptance import agreement
+from graphgs.structure.acceptance import Agreement, agreement
 from graphgs.structure.components import components, describe
 from graphgs.structure.config import StructureConfig
 from graphgs.structure.given import covisible_pairs
@@ -66,6 +66,12 @@ def test_cameras_that_turned_are_refused():
     assert found.rotation_p99_deg == pytest.approx(20, abs=0.1)
     assert found.rotation_median_deg < 1e-4
     assert not found.within(CONFIG)
+
+
+def test_a_fine_model_far_from_the_coarse_one_is_no_agreement():
+    """Figures of a straight drive whose coarse model had bent; the fine one had half straightened, and was wrong."""
+    assert not Agreement(51, 1.72, 8.80, 0.0398).within(CONFIG)
+    assert Agreement(30, 0.51, 1.03, 0.0109).within(CONFIG)  # of sound models, the pair furthest apart
 
 
 def test_pairwise_rotation_change_equals_the_definition():

@@ -11,6 +11,7 @@ from graphgs.progress import Reporter
 from graphgs.scene.camera import Camera
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.sources.photos import Photos
+from graphgs.structure import coarse_attempt
 from graphgs.structure.cameras import rescaled, shared_cameras, with_second_term
 from graphgs.structure.candidates import candidate_pairs
 from graphgs.structure.coarse_attempt import Attempt, _best_mapping, coarse_pairs
@@ -251,3 +252,41 @@ def test_of_several_guesses_the_mapping_with_the_least_error_wins(tmp_path, answ
     )
     assert (found.cameras[0].params[0] if found else None) == chosen
     assert cameras.cameras[0].params[0] == (chosen or 100.0)
+
+
+@pytest.mark.parametrize(
+    ("strengths", "placed", "chosen", "mapped"),
+    [
+        ({0: 0.2}, {}, 0, []),
+        ({0: 1.1, 100: 0.2}, {}, 100, [100]),  # a street of 600 photos, one seed of three
+        ({0: 1.1, 100: 1.3, 200: 0.9}, {}, 200, [100, 200]),  # the scene repeats itself: the next steps decide
+        ({0: 1.1, 100: 0.1, 200: 0.3}, {100: 20}, 200, [100, 200]),  # a part of the photos is no answer
+    ],
+)
+def test_a_mapping_that_its_matches_contradict_is_tried_again(tmp_path, monkeypatch, strengths, placed, chosen, mapped):
+    def model(seed):
+        count = placed.get(seed, 50)
+        return Reconstruction(
+            cameras=(Camera("SIMPLE_RADIAL", 320, 240, (100.0 + seed, 160.0, 120.0, 0.0)),),
+            names=tuple(f"{k}" for k in range(count)),
+            camera_ids=np.zeros(count, np.int64),
+            rotations=np.tile(np.eye(3), (count, 1, 1)),
+            translations=np.zeros((count, 3)),
+        )
+
+    asked = []
+
+    def best_mapping(photos, guesses, attempt, *rest):
+        asked.append(attempt.seed)
+        return model(attempt.seed), guesses[0]
+
+    monkeypatch.setattr(coarse_attempt, "_best_mapping", best_mapping)
+    monkeypatch.setattr(coarse_attempt, "read_verified", lambda database: None)
+    monkeypatch.setattr(
+        coarse_attempt, "_contradiction", lambda found, *rest: strengths[int(found.cameras[0].params[0]) - 100]
+    )
+    found, _ = coarse_attempt._less_contradicted(
+        None, model(0), ["guess"], "guess", Attempt(640, 1000, 0, False), False, None, tmp_path, Reporter(), 1
+    )
+    assert found.cameras[0].params[0] == 100 + chosen
+    assert asked == mapped

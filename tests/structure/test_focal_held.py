@@ -11,7 +11,8 @@ import pytest
 from graphgs.scene.camera import Camera
 from graphgs.structure.cameras import SharedCameras
 from graphgs.structure.colmap import ColmapWorker
-from graphgs.structure.focal_held import held_note, is_observable
+from graphgs.structure.focal_held import cautions, held_note, is_observable
+from graphgs.structure.prior import Prior
 
 
 class Answering:
@@ -45,6 +46,23 @@ def test_what_is_held_is_said():
     assert held_note(shared, (False, True)) == (
         "focal length held at 707 px (EXIF), 885 px (typical): straight driving does not show it"
     )
+
+
+def prior_of(cameras, **fields):
+    return Prior(
+        ("a", "b"), np.ones(2, bool), np.tile(np.eye(3), (2, 1, 1)), np.eye(3)[:2], cameras, True, "auto", **fields
+    )
+
+
+def test_a_focal_length_that_nobody_knows_is_a_caution():
+    cameras = tuple(Camera("SIMPLE_RADIAL", 1226, 370, (f, 613.0, 185.0, 0.0)) for f in (885.44, 707.1))
+    shared = SharedCameras(cameras, (True, True), np.array([0, 1]))
+    (said,) = cautions(prior_of(shared, focal_open=True), (False, True))
+    assert "held at 885 px, a typical one" in said
+    assert "stretched along the drive" in said
+    assert "sources.focal_px" in said
+    assert not cautions(prior_of(shared, focal_open=True), (True, True))  # EXIF or the user told them
+    assert not cautions(prior_of(shared), (False, False))
 
 
 def drive(folder, *, turning):

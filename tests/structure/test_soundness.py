@@ -157,22 +157,46 @@ def test_an_empty_model_is_doubted():
     assert "hardly any points" in judge(found, matches(found)).doubts[0]
 
 
+@pytest.mark.parametrize("known", [False, True])
 @pytest.mark.parametrize("scale", [0.6, 1.0, 1.6])
-def test_a_turn_on_the_spot_is_seen_at_any_focal_length(scale):
+def test_a_turn_on_the_spot_is_seen_at_any_focal_length(scale, known):
+    """What EXIF tells may be wrong."""
     found = model(6, 80)
+    turns = Rotation.from_rotvec(np.outer(np.arange(6), [0.01, 0.12, 0.0])).as_matrix()
     still = dataclasses.replace(
-        found, translations=np.zeros((6, 3)), cameras=(Camera.pinhole(640, 480, 500 * scale, 500 * scale, 320, 240),)
+        found,
+        rotations=turns,
+        translations=np.zeros((6, 3)),
+        cameras=(Camera.pinhole(640, 480, 500 * scale, 500 * scale, 320, 240),),
     )
     image = np.tile(np.arange(6), 80)
     spread = np.column_stack([found.points[:, 0] - 1.2, found.points[:, 1], found.points[:, 2]])
     noise = np.random.default_rng(1).normal(0, 0.3, (480, 2))
     seen = project(still, image, np.repeat(spread, 6, axis=0)) + noise
     verified = matches(dataclasses.replace(still, points=spread, track_xy=seen))
-    fit = fit_rotations(verified, shared(6), focal_known=False)
+    fit = fit_rotations(verified, shared(6), focal_known=known)
     assert fit.on_the_spot
     assert fit.share == 1.0
-    with_parallax = fit_rotations(matches(found), shared(6), focal_known=False)
+    with_parallax = fit_rotations(matches(found), shared(6), focal_known=known)
     assert with_parallax.share == 0.0
+
+
+def test_a_walk_along_a_plane_is_no_turn_if_the_focal_length_is_known():
+    """A survey from above: at an endless focal length a turn would explain it."""
+    found = model(6, 80)
+    walk = dataclasses.replace(
+        found,
+        rotations=np.tile(np.eye(3), (6, 1, 1)),
+        translations=-np.stack([0.9 * np.arange(6), np.zeros(6), np.zeros(6)], axis=1),
+        cameras=(Camera.pinhole(640, 480, 500, 500, 320, 240),),
+    )
+    ground = np.column_stack([found.points[:, :2], np.full(80, 8.0)])
+    seen = project(walk, np.tile(np.arange(6), 80), np.repeat(ground, 6, axis=0))
+    verified = matches(dataclasses.replace(walk, points=ground, track_xy=seen))
+    assert fit_rotations(verified, shared(6), focal_known=False).open
+    fit = fit_rotations(verified, shared(6), focal_known=True)
+    assert not fit.on_the_spot
+    assert not fit.open
 
 
 def test_nothing_matched_is_no_turn():
