@@ -4,7 +4,7 @@ from graphgs.workspace import Stage
 
 PHOTOS = Stage(1, "photos", 2)
 COARSE = Stage(2, "coarse", 3)
-PAIRS = Stage(3, "pairs", 2)
+PAIRS = Stage(3, "pairs", 3)
 MATCHES = Stage(4, "matches", 2)
 MAPPING = Stage(5, "mapping", 4)
 VIEWS = Stage(6, "views", 1)

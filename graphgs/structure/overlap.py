@@ -11,6 +11,7 @@ NEAR_MARGIN = 0.5  # a camera may see things at this share of its near distance
 FAR_MARGIN = 1.2  # and at this multiple of its far distance; what lies further back is hidden or out of reach
 FEWEST_IN_FRUSTUM = 3  # of 128 samples of a frustum that must lie in the other camera's: more than 2 %
 FEWEST_OF_POINTS = 6  # of 64 points likely seen: more than 9 %, as they are surer than a frustum's volume
+MARGIN_OF_POINTS = 0.9  # standard deviations that an image is widened by; 1 where only the frustum is known
 _FLATTEST = np.deg2rad(89.0)  # half an image cannot be wider
 _FIRST = 32  # samples that settle most pairs; the others are looked at where they do not
 _CHUNK = 1024  # pairs judged at once: the arrays stay near the processor
@@ -26,20 +27,31 @@ def share_views(
     """[P] bool: enough of what one camera of the pair is likely to see falls into the other one's image, in front of
     what that one sees there; either way round.
 
-    The image is widened by one standard deviation of the direction from one camera into the other, both rotations and
-    both positions added in quadrature, so a sure pose gets a narrow margin and a near point a wide one."""
-    relative = PoseUncertainty(np.sqrt(2.0) * uncertainty.rotation, np.sqrt(2.0) * uncertainty.position)
-    cameras = _Cameras(rotations, centers, views, relative)
+    The image is widened by about one standard deviation of the direction from one camera into the other, both rotations
+    and both positions added in quadrature, so a sure pose gets a narrow margin and a near point a wide one."""
+    by_points, by_frustum = (
+        _Cameras(rotations, centers, views, _relative(uncertainty, deviations))
+        for deviations in (MARGIN_OF_POINTS, 1.0)
+    )
     keep = np.zeros(len(pairs), bool)
     for way in (pairs, pairs[:, ::-1]):
         todo = np.flatnonzero(~keep)
-        todo = todo[cameras.near_enough(*way[todo].T)]
+        todo = todo[by_frustum.near_enough(*way[todo].T)]
         known = views.has_points(way[todo, 0])
-        for group, fewest in ((todo[known], FEWEST_OF_POINTS), (todo[~known], FEWEST_IN_FRUSTUM)):
+        for cameras, group, fewest in (
+            (by_points, todo[known], FEWEST_OF_POINTS),
+            (by_frustum, todo[~known], FEWEST_IN_FRUSTUM),
+        ):
             for start in range(0, len(group), _CHUNK):
                 part = group[start : start + _CHUNK]
                 keep[part] = cameras.see_enough(*way[part].T, fewest)
     return keep
+
+
+def _relative(uncertainty: PoseUncertainty, deviations: float) -> PoseUncertainty:
+    """Of one camera as seen from another, so many standard deviations."""
+    factor = deviations * np.sqrt(2.0)
+    return PoseUncertainty(factor * uncertainty.rotation, factor * uncertainty.position)
 
 
 @dataclass(frozen=True)

@@ -42,7 +42,7 @@ def seen_count(
 ) -> int:
     """How many of the samples the other camera sees."""
     slope, count = np.tan(half_angle), 0
-    rotation_sigma, position_sigma = np.sqrt(2) * np.array(sigma)
+    rotation_sigma, position_sigma = 0.9 * np.sqrt(2) * np.array(sigma)
     for point in (world - center) @ rotation.T:
         if point[2] <= 0:
             continue
