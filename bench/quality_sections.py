@@ -49,7 +49,7 @@ def octree(table: Table) -> str:
         return ""
     return "\n".join([
         "## Octree",
-        f"The default keeps every point of clouds up to 20,000; here the octree keeps {OCTREE_SHARE:.0%}. "
+        f"The default keeps every point of clouds up to 100,000; here the octree keeps {OCTREE_SHARE:.0%}. "
         "Differences to training from all points.",
         "",
         markdown(["set", "points", "octree, dB", "random, dB", "octree, training time, %"], body),

@@ -18,7 +18,7 @@ class PointsConfig:
 
     mode: Literal["octree", "none"] = "octree"  # "none" keeps every point as it is
     fraction: float = 0.4  # of the points to keep; GraphGS keeps 100,000 of 245,820
-    minimum: int = 20_000  # points; no cloud is pruned below it, for few points are a bad start
+    minimum: int = 100_000  # points; no cloud is pruned below it: few points are a bad start (decisions/0014)
     target: int | None = None  # points wanted; None = fraction and minimum decide
     tau: float | None = None  # merge nodes below this level of detail instead (see prune_octree)
 
