@@ -1,5 +1,6 @@
 """docs/results.md from the stored measurements: every number and every verdict in it is computed here."""
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -9,7 +10,7 @@ from bench import quality_plots as plots
 from bench import quality_sections as sections
 from bench.quality_cases import BY_NAME
 from bench.quality_scenes import JPEG_QUALITY
-from bench.quality_table import Figure, Table, count, figure_of, markdown, number, percent, signed
+from bench.quality_table import Figure, Table, count, figure_of, markdown, number, percent, settings_of, signed
 
 PICTURE_QUALITY = 80
 PICTURES = ("ahead", "aside")  # held-out views of the synthetic set
@@ -45,27 +46,49 @@ def write_report(
     *,
     pictures: Path,  # those of SHOWN as VIEW-NAME.png, if they are there
 ) -> Path:
-    """Write docs/results.md and what it shows; returns its path."""
-    table = Table(rows)
+    """Write docs/results.md and what it shows; returns its path. What was measured on other devices, or with another
+    number of steps, has a page of its own beside it."""
     folder = docs / "pictures"
     folder.mkdir(parents=True, exist_ok=True)
+    first, *others = settings_of(rows)
+    pages = {setting: f"results-{_slug(*setting)}.md" for setting in others}
+    links = [f"[{device}, {steps} steps]({page})" for (device, steps), page in pages.items()]
+    table = Table(rows, first)
     parts = [
         _introduction(table),
-        _headline(table, folder),
-        _ablations(table, folder),
-        sections.structure(table),
-        sections.octree(table),
-        sections.fewer_steps(table),
-        sections.sparse(table),
+        f"Also measured: {', '.join(links)}." if links else "",
+        *_comparisons(table, folder, ""),
         sections.noise(table, folder),
         sections.poses(table),
         sections.exposure(table),
         sections.rates(table),
         _pictures(pictures, folder),
     ]
-    path = docs / "results.md"
+    _write(docs / "results.md", parts)
+    for setting, page in pages.items():
+        table = Table(rows, setting)
+        _write(docs / page, [_introduction(table), *_comparisons(table, folder, f"-{_slug(*setting)}")])
+    return docs / "results.md"
+
+
+def _comparisons(table: Table, folder: Path, mark: str) -> list[str]:
+    """What any set of measurements can be asked; `mark` tells its plots from others."""
+    return [
+        _headline(table, folder, mark),
+        _ablations(table, folder, mark),
+        sections.structure(table),
+        sections.octree(table),
+        sections.fewer_steps(table),
+        sections.sparse(table),
+    ]
+
+
+def _write(path: Path, parts: list[str]) -> None:
     path.write_text("\n\n".join(part for part in parts if part) + "\n", encoding="utf-8")
-    return path
+
+
+def _slug(device: str, steps: int) -> str:
+    return re.sub(r"[^a-z0-9]+", "-", f"{device} {steps}".lower()).strip("-")
 
 
 def _introduction(table: Table) -> str:
@@ -96,7 +119,7 @@ Made by `python -m bench.quality --report` from `bench/results/quality.jsonl`; n
   t: three seeds need a mean of 2.5 times their spread); otherwise it is *undecided*, and one seed decides nothing."""
 
 
-def _headline(table: Table, folder: Path) -> str:
+def _headline(table: Table, folder: Path, mark: str) -> str:
     columns: list[tuple[str, Callable[[str, str], str]]] = [
         ("PSNR dB", lambda c, n: number(table.figure(c, n, "psnr"))),
         ("SSIM", lambda c, n: number(table.figure(c, n, "ssim"), 3)),
@@ -130,12 +153,12 @@ def _headline(table: Table, folder: Path) -> str:
         text += ["", "The full method minus each control:", ""]
         text.append(markdown(["set", "control", "PSNR dB", "verdict"], sentences))
     if bars:
-        (folder / "gain.svg").write_text(plots.bars("full minus tuned control", "dB", bars))
-        text += ["", "![The full method minus the tuned control, per set](pictures/gain.svg)"]
+        (folder / f"gain{mark}.svg").write_text(plots.bars("full minus tuned control", "dB", bars))
+        text += ["", f"![The full method minus the tuned control, per set](pictures/gain{mark}.svg)"]
     return "\n".join(text)
 
 
-def _ablations(table: Table, folder: Path) -> str:
+def _ablations(table: Table, folder: Path, mark: str) -> str:
     text = [
         "## One part changed at a time",
         "PSNR of the changed run minus that of `full`, in dB: positive, the change helps. On the synthetic sets also "
@@ -163,8 +186,8 @@ def _ablations(table: Table, folder: Path) -> str:
             series[name] = line
     if series:
         plot = plots.lines("PSNR against lambda .07", "weight of the consistency loss", "dB", series)
-        (folder / "lambda.svg").write_text(plot)
-        text += ["", "![PSNR by weight of the consistency loss](pictures/lambda.svg)"]
+        (folder / f"lambda{mark}.svg").write_text(plot)
+        text += ["", f"![PSNR by weight of the consistency loss](pictures/lambda{mark}.svg)"]
     return "\n".join(text)
 
 

@@ -32,12 +32,17 @@ class Figure:
         return "gains" if self.mean > 0 else "loses"
 
 
-class Table:
-    """The measurements of one device and number of steps; of equal ones the last."""
+def settings_of(rows: list[dict]) -> list[tuple[str, int]]:
+    """(device, steps) of the measurements, the most frequent first."""
+    counts = Counter((row["device"], row["base_steps"]) for row in rows)
+    return [setting for setting, _ in counts.most_common()]
 
-    def __init__(self, rows: list[dict]):
-        groups = Counter((row["device"], row["base_steps"]) for row in rows)
-        (self.device, self.steps), _ = groups.most_common(1)[0]
+
+class Table:
+    """The measurements of one device and number of steps, the most frequent unless named; of equal ones the last."""
+
+    def __init__(self, rows: list[dict], setting: tuple[str, int] | None = None):
+        self.device, self.steps = settings_of(rows)[0] if setting is None else setting
         self._cells = {
             (row["case"], row["set"], row["seed"]): row
             for row in rows

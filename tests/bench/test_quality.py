@@ -193,9 +193,28 @@ def test_every_case_has_its_place_in_the_report(tmp_path):
     told = ("noise", "every", "exposure", "poses", "plain 0", "plain 1")  # by what they change, not by their name
     assert all(f"| {case.name} |" in text for case in CASES if not case.name.startswith(told))
     assert "## Noisy poses" in text
+    assert "Also measured" not in text
     assert "## Sparse views" in text
     assert "## Exposure" in text
     assert "## Refining poses" in text
     plots = sorted(path.name for path in (tmp_path / "pictures").iterdir())
     assert plots == ["gain.svg", "lambda.svg", "noise.svg"]
     assert all(f"pictures/{name}" in text for name in plots)
+
+
+def test_another_device_has_a_page_of_its_own(tmp_path):
+    row = {
+        "set": "castle", "case": "full", "seed": 0, "base_steps": 2000, "steps": 2000, "jobs": 1, "commit": "abc",
+        "torch": "1", "warp": "1", "python": "3", "missing": 0, "photos": 30, "edges": 90, "points": 1000,
+        "splats": 20_000, "ssim": 0.9, "worst": 20.0, "psnr_fitted": 26.0, "seconds": 10.0, "frames_per_s": 100.0,
+        "depth_error": None,
+    }  # fmt: skip
+    here = [row | {"device": "a card", "psnr": 26.25, "case": case} for case in ("full", "plain")]
+    there = [row | {"device": "A CPU, 2", "psnr": 28.75}]
+    text = write_report(here + there, tmp_path, pictures=tmp_path / "none").read_text()
+    assert "[A CPU, 2, 2000 steps](results-a-cpu-2-2000.md)" in text
+    assert "26.25" in text
+    assert "28.75" not in text
+    page = (tmp_path / "results-a-cpu-2-2000.md").read_text()
+    assert "28.75" in page
+    assert "26.25" not in page
