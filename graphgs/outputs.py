@@ -93,7 +93,7 @@ def collect_metrics(run: Run, posed: Posed, made: Made | None, versions: dict[st
         "world": plain(posed.structure.world),
         "cautions": list(posed.structure.cautions),
         "skipped": {s.name: s.reason for s in posed.photos.skipped},
-        "pairs_candidate": None if posed.pairs is None else len(posed.pairs.pairs),
+        "pairs_candidate": _pairs_tried(posed),
         "pairs_exhaustive": n * (n - 1) // 2,
         "pairs_verified": len(posed.graph.edges),
         "seconds": dict(run.seconds),
@@ -175,13 +175,21 @@ def _pair_figures(posed: Posed) -> PairFigures | None:
         selector = "all pairs"
     else:
         selector = f"concentric nearest neighbours ({pairs.rings} rings), {pairs.filter} filter"
+    because["look-alikes, to join groups and to test the poses"] = _pairs_tried(posed) - len(pairs.pairs)
     return PairFigures(
-        candidate=len(pairs.pairs),
+        candidate=_pairs_tried(posed),
         exhaustive=pairs.exhaustive,
         verified=len(posed.graph.edges),
         kept_because={name: count for name, count in because.items() if count},
         selector=selector,
     )
+
+
+def _pairs_tried(posed: Posed) -> int | None:
+    """Pairs that were matched: those chosen, and the look-alikes that matching adds. None where poses were given."""
+    if posed.pairs is None:
+        return None
+    return len(posed.pairs.pairs) if posed.matches is None else posed.matches.candidates
 
 
 def _camera_figures(posed: Posed) -> CameraFigures:

@@ -69,6 +69,7 @@ def test_every_output_is_there(scene):
         "pairs_exhaustive", "seconds", "peak_rss_mb", "device", "versions", "seed",
     } <= metrics.keys()  # fmt: skip
     assert (metrics["images"], metrics["registered"], metrics["steps_executed"]) == (12, 12, STEPS)
+    assert metrics["pairs_verified"] <= metrics["pairs_candidate"] <= metrics["pairs_exhaustive"]
     assert metrics["cautions"] == []  # EXIF tells the focal length
     assert metrics["num_splats"] == len(splats)
     assert metrics["psnr"] > 10
