@@ -111,7 +111,7 @@ Made by `python -m bench.quality --report` from `bench/results/quality.jsonl`; n
   from our own structure estimation. `street` has the exact poses, `street-own` the same photos with our own; both are
   synthetic, three cameras on a vehicle, every 4th frame; `drive` is synthetic, one camera, every frame, exact poses.
   Photos are stored as JPEG of quality {JPEG_QUALITY} at the training size. Defaults are those of that commit; what
-  was changed since, and why, stands in decisions/0020 and 0024.
+  was changed since, and why, stands in decisions/0014, 0020 and 0024.
 - **Judged** on every 8th photo, never trained on; {missing} held-out photos could not be placed and are not in the
   means. PSNR is the mean over held-out views, "worst" its lowest view. Up to {seeds} seeds; ± is the standard deviation
   over them.
