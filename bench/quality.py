@@ -186,9 +186,9 @@ class Schedule:
         return not any(other.set == task.set and (other.case.name, other.seed) in task.needs for other in unfinished)
 
     def _seconds(self, case: str, task: Task) -> float | None:
-        """[s] that the case took: with the same seed, or else the first."""
+        """[s] that the case took, finding dense points included: with the same seed, or else the first."""
         row = self._find(case, task.set, task.seed) or self._find(case, task.set, 0)
-        return None if row is None else row["seconds"]
+        return None if row is None else row["seconds"] + row.get("dense_s", 0.0)
 
     def _job(self, task: Task, *, warm_up: bool = False) -> Job:
         case, rates, steps = task.case, task.case.rates, self._args.steps * task.case.steps

@@ -17,7 +17,7 @@ OTHER_RATES = ("log_scales_rate", "quats_rate", "logit_opacities_rate", "sh_dc_r
 # Where a case runs that names no sets. `drive` is for the nuisances: its photos lie close enough for each to matter.
 MAIN = ("fox", "street-own", "street", "castle", "kitti_street", "ochota_aerial")
 SYNTHETIC_SETS = ("drive", "street", "street-own")
-PLAIN = {"consistency": "none", "sampling": "uniform"}  # together with points="all": the graph's features off
+PLAIN = {"consistency": "none", "sampling": "uniform"}  # together with points="all": what the method adds is off
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,9 @@ class Case:
 
     # Input
     scene: str = ""  # other poses: the prepared scene SET+scene
-    points: Literal["default", "all", "octree", "random"] = "default"
+    points: Literal["pipeline", "sparse", "all", "octree", "random", "joined", "joined-octree", "joined-random"] = (
+        "pipeline"  # by the pipeline, with and without dense points; of the reconstruction; of both ("joined"), pruned or drawn
+    )
     keep_every: int = 1  # train on every n-th training photo
     noise: float = 0.0  # [rad and camera spacings] every pose disturbed by up to this
     disturbed: bool = False  # training poses off by 0.5 degrees and 1 % of the scene
@@ -65,10 +67,13 @@ def _grid() -> list[Case]:
 
 CASES = (
     Case(
-        "full", "the default: consistency, sampling by importance, pruned points",
+        "full", "the default: dense points pruned by the octree, consistency, sampling by importance",
         order=0, per_seed=0.2, sets=(*MAIN, "drive"),
     ),
-    Case("plain", "control: the same trainer without consistency, sampling and octree", PLAIN, order=0, points="all"),
+    Case(
+        "plain", "control: the same trainer without consistency, sampling, dense points and octree", PLAIN, order=0,
+        points="all",
+    ),
     *_grid(),
     Case(
         "plain tuned", "control with its learning rates tuned on this set", PLAIN, order=0.5, per_seed=0.2,
@@ -78,6 +83,7 @@ CASES = (
         "plain tuned, equal time", "the tuned control for as long as the full method takes", PLAIN,
         order=0.6, per_seed=0.2, points="all", tuned=True, time_of="full",
     ),
+    Case("plain, dense points", "the control from the full method's points", PLAIN, order=0.7, per_seed=0.2),
     Case("full, control's rates", "the full method with the tuned control's rates", tuned=True),
     # Consistency
     Case("no consistency", "without the consistency loss (lambda 0)", {"consistency": "none"}),
@@ -97,9 +103,18 @@ CASES = (
     Case("full at .6", "the full method with .6 of the steps", steps=0.6),
     Case("uniform at .6", "even draws with .6 of the steps", {"sampling": "uniform"}, steps=0.6),
     # Initial points
-    Case("all points", "without octree pruning", points="all"),
-    Case("octree .4", "points pruned to 40 % by the octree", points="octree"),
-    Case("random .4", "the same number of points drawn at random", points="random"),
+    Case("no dense points", "from the reconstruction's points alone", order=0.8, points="sparse"),
+    Case("all points", "from all the reconstruction's points, unpruned", points="all"),
+    Case("octree .4", "from 40 % of those, pruned by the octree", points="octree"),
+    Case("random .4", "from as many of those, drawn at random", points="random"),
+    *(
+        Case(name, about, {"max_splats": 40_000}, order=1.1, points=points)
+        for name, about, points in (
+            ("joined", "reconstructed and dense points, unpruned", "joined"),
+            ("joined, octree", "40 % of them, pruned by the octree", "joined-octree"),
+            ("joined, random", "as many of them, drawn at random", "joined-random"),
+        )
+    ),
     # Densification
     Case("mcmc", "densification by sampling (3DGS as MCMC)", {"strategy": "mcmc"}, order=1.4),
     Case("signed gradients", "gradients that may cancel over pixels (3DGS)", {"absgrad": False}, order=1.4),

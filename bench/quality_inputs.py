@@ -2,6 +2,7 @@
 of a case train on the same input."""
 
 import dataclasses
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,14 +12,18 @@ from scipy.spatial.transform import Rotation
 
 from bench.quality_cases import Case
 from bench.quality_scenes import Scene, every_point
+from graphgs.config import preset
 from graphgs.graph import CameraGraph
-from graphgs.points import PrunedPoints
+from graphgs.points import DenseCloud, PrunedPoints, dense_cloud, initial_points, keep_all
+from graphgs.progress import Reporter
 from graphgs.scene.neighbours import local_spacing
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.scene.views import Views
 from graphgs.synth.street import GAMMA
 from tests.support.disturbed_poses import disturbed
 
+PREVIEW = preset("preview")
+JOINED_LIMIT = 20_000  # Gaussians, for the points that the octree is compared on: there is room for all of them
 DISTURBED_DEG, DISTURBED_SHIFT = 0.5, 0.01  # of a pose: turn, and shift in largest distances between cameras
 
 
@@ -27,6 +32,7 @@ class Inputs:
     views: Views
     graph: CameraGraph
     points: PrunedPoints
+    dense_s: float  # CPU seconds that went into the points beside the reconstruction
 
 
 def inputs_of(
@@ -34,18 +40,7 @@ def inputs_of(
     scene: Scene,
     folder: Path,  # for altered photos
 ) -> Inputs:
-    views, graph, model = scene.views, scene.graph, scene.model
-    if case.keep_every > 1:
-        rows = _kept(views.is_test, case.keep_every)
-        views, graph = _view_rows(views, rows), _graph_rows(graph, rows)
-        points = every_point(model, _seen_twice(model, rows[~scene.views.is_test[rows]]))
-    elif case.points in scene.points:
-        points = scene.points[case.points]
-    elif case.points == "random":
-        count = len(scene.points["octree"].positions)
-        points = every_point(model, np.random.default_rng(0).choice(len(model.points), count, replace=False))
-    else:
-        points = every_point(model)
+    views, graph, model, dropped = scene.views, scene.graph, scene.model, np.zeros(len(scene.views.names), bool)
     if case.disturbed:
         moved = disturbed(views, rotation_deg=DISTURBED_DEG, shift=DISTURBED_SHIFT)
         views, graph = _with_poses(views, graph, moved)
@@ -53,7 +48,61 @@ def inputs_of(
         views, graph = _with_poses(views, graph, _noisy(views, case.noise))
     if case.exposure_stops:
         views = _exposed(views, case.exposure_stops, folder)
-    return Inputs(views, graph, points)
+    if case.keep_every > 1:
+        rows = _kept(views.is_test, case.keep_every)
+        dropped = np.isin(np.arange(len(dropped)), rows, invert=True)
+        model = _points_of(model, _seen_twice(model, rows[~views.is_test[rows]]))
+    points, seconds = _points(case, scene, model, views, dropped)
+    if dropped.any():
+        views, graph = _view_rows(views, np.flatnonzero(~dropped)), _graph_rows(graph, np.flatnonzero(~dropped))
+    return Inputs(views, graph, points, seconds)
+
+
+def _points(
+    case: Case, scene: Scene, model: Reconstruction, views: Views, dropped: np.ndarray
+) -> tuple[PrunedPoints, float]:
+    """The initial points a case starts from, and the CPU seconds its dense cloud took."""
+    if case.points == "all":
+        return every_point(model), 0.0
+    if case.points == "octree":
+        return scene.points["octree"], 0.0
+    if case.points == "random":
+        return _drawn(every_point(model), len(scene.points["octree"].positions)), 0.0
+    seconds, max_splats = scene.dense_s, case.training.get("max_splats", PREVIEW.training.max_splats)
+    if case.points == "sparse":
+        dense, seconds = DenseCloud.empty(), 0.0
+    elif case.disturbed or case.noise or case.exposure_stops or case.keep_every > 1:  # from what training is given
+        start = time.process_time()
+        posed = dataclasses.replace(model, rotations=views.viewmats[:, :3, :3], translations=views.viewmats[:, :3, 3])
+        usable = dataclasses.replace(views, is_test=views.is_test | dropped)
+        dense = dense_cloud(PREVIEW.points, posed, usable, reporter=Reporter(), threads=1)
+        seconds = time.process_time() - start
+    else:
+        dense = scene.dense
+    config = PREVIEW.points
+    if case.points.startswith("joined"):  # what the default gives the octree, of a smaller limit
+        config = dataclasses.replace(config, target=config.target_for(len(model.points), max_splats=JOINED_LIMIT))
+    if case.points in ("joined", "joined-random"):
+        every = dataclasses.replace(config, mode="none", target=round(config.target / config.fraction))
+        points = initial_points(every, model, dense, max_splats=max_splats, reporter=Reporter(), threads=1)
+        return (points if case.points == "joined" else _drawn(points, config.target)), seconds
+    return initial_points(config, model, dense, max_splats=max_splats, reporter=Reporter(), threads=1), seconds
+
+
+def _drawn(points: PrunedPoints, count: int) -> PrunedPoints:
+    rows = np.random.default_rng(0).choice(len(points.positions), min(count, len(points.positions)), replace=False)
+    return keep_all(points.positions[rows], points.colors[rows])
+
+
+def _points_of(model: Reconstruction, rows: np.ndarray) -> Reconstruction:
+    """The reconstruction with only these points."""
+    lengths = model.track_lengths
+    kept = np.isin(np.repeat(np.arange(len(lengths)), lengths), rows)
+    return dataclasses.replace(
+        model, points=model.points[rows], colors=model.colors[rows], errors=model.errors[rows],
+        track_offsets=np.r_[0, np.cumsum(lengths[rows])], track_images=model.track_images[kept],
+        track_xy=model.track_xy[kept],
+    )  # fmt: skip
 
 
 def _kept(is_test: np.ndarray, every: int) -> np.ndarray:

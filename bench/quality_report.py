@@ -15,7 +15,9 @@ from bench.quality_table import Figure, Table, count, figure_of, markdown, numbe
 PICTURE_QUALITY = 80
 PICTURES = ("ahead", "aside")  # held-out views of the synthetic set
 SHOWN = {"truth": "truth", "full": "full", "plain": "plain tuned"}  # their pictures, by column
-HEADLINE = ("full", "plain", "plain tuned", "plain tuned, equal time", "full, control's rates")
+HEADLINE = (
+    "full", "plain", "plain tuned", "plain tuned, equal time", "plain, dense points", "full, control's rates",
+)  # fmt: skip
 GROUPS = {
     "Consistency": (
         "no consistency", "lambda .03", "lambda .15", "target random", "target sampled", "source truth", "source both",
@@ -25,7 +27,7 @@ GROUPS = {
         "uniform", "sampling paper", "sampling affine", "sampling loss", "importance degree", "full at .6",
         "uniform at .6",
     ),
-    "Initial points": ("all points", "octree .4", "random .4"),
+    "Initial points": ("no dense points", "all points", "octree .4", "random .4"),
     "Densification": ("mcmc", "signed gradients", "kept opacity"),
     "Floaters, sky, passers-by, speed": (
         "sky sphere", "robust .1", "prune near", "prune unconfirmed", "warm-up .3", "sparse Adam",
@@ -110,8 +112,8 @@ Made by `python -m bench.quality --report` from `bench/results/quality.jsonl`; n
 - **How**: {table.steps} executed steps (less where it says so), at most 20,000 Gaussians (the `preview` preset), poses
   from our own structure estimation. `street` has the exact poses, `street-own` the same photos with our own; both are
   synthetic, three cameras on a vehicle, every 4th frame; `drive` is synthetic, one camera, every frame, exact poses.
-  Photos are stored as JPEG of quality {JPEG_QUALITY} at the training size. Defaults are those of that commit; what
-  was changed since, and why, stands in decisions/0014, 0020 and 0024.
+  Photos are stored as JPEG of quality {JPEG_QUALITY} at the training size. Defaults are those of that commit; why they
+  are what they are stands in decisions/0014, 0020, 0024 and 0031.
 - **Judged** on every 8th photo, never trained on; {missing} held-out photos could not be placed and are not in the
   means. PSNR is the mean over held-out views, "worst" its lowest view. Up to {seeds} seeds; ± is the standard deviation
   over them.
@@ -127,6 +129,7 @@ def _headline(table: Table, folder: Path, mark: str) -> str:
         ("depth error %", lambda c, n: percent(table.figure(c, n, "depth_error"))),
         ("steps", lambda c, n: count(table.figure(c, n, "steps"))),
         ("seconds", lambda c, n: number(table.figure(c, n, "seconds"), 1)),
+        ("for dense points", lambda c, n: number(table.figure(c, n, "dense_s"), 1)),
         ("Gaussians", lambda c, n: count(table.figure(c, n, "splats"))),
         ("frames/s", lambda c, n: count(table.figure(c, n, "frames_per_s"))),
     ]
@@ -140,7 +143,7 @@ def _headline(table: Table, folder: Path, mark: str) -> str:
     text.append(markdown(["set", "case", *(title for title, _ in columns)], body))
     sentences, bars = [], {}
     for name in table.sets:
-        for control in ("plain tuned", "plain tuned, equal time", "plain"):
+        for control in ("plain tuned", "plain tuned, equal time", "plain", "plain, dense points"):
             difference = table.difference("full", control, name)
             if difference is None:
                 continue

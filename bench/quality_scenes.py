@@ -9,6 +9,7 @@ import dataclasses
 import hashlib
 import json
 import shutil
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,7 +18,7 @@ import numpy as np
 
 from graphgs.graph import CameraGraph
 from graphgs.graph.build import build_camera_graph
-from graphgs.points import PointsConfig, PrunedPoints, initial_points, keep_all
+from graphgs.points import DenseCloud, PointsConfig, PrunedPoints, dense_cloud, keep_all, prune_octree
 from graphgs.progress import Reporter
 from graphgs.scene.camera import Camera
 from graphgs.scene.colmap import read_model
@@ -29,7 +30,7 @@ from graphgs.scene.views import Views
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"  # real photo sets; they are not part of the project
 JPEG_QUALITY = 93  # without chroma subsampling: 43 dB, far above what is measured
 JPEG = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
-OCTREE_SHARE = 0.4  # of the points: the default prunes no cloud this small, so the octree is measured at this share
+OCTREE_SHARE = 0.4  # of the reconstruction's points, where the octree is measured on them alone
 
 # Frozen. street: 26 stops, 2.8 m apart, which is every 4th frame of the default drive, by three cameras; drive: the
 # default, 36 frames 0.7 m apart by one camera.
@@ -82,7 +83,9 @@ class Scene:
     views: Views
     graph: CameraGraph
     model: Reconstruction  # points and tracks, without image points
-    points: dict[str, PrunedPoints]  # "default" as the pipeline's; "octree" at OCTREE_SHARE
+    points: dict[str, PrunedPoints]  # "octree": the reconstruction's at OCTREE_SHARE
+    dense: DenseCloud
+    dense_s: float  # CPU seconds it took to find
     true_depths: dict[str, np.ndarray] | None = None  # [H, W] camera z by held-out view, scene units, 0 = none
 
 
@@ -104,7 +107,7 @@ def prepared(cache: Path) -> list[str]:
 
 
 def load_scene(cache: Path, name: str, *, threads: int = 1) -> Scene:
-    """A prepared scene; its undistorted views are made at the first call."""
+    """A prepared scene; its undistorted views and its dense cloud are made at the first call."""
     from graphgs.sources import Photos
     from graphgs.structure.config import StructureConfig
     from graphgs.structure.undistort import undistort
@@ -121,7 +124,21 @@ def load_scene(cache: Path, name: str, *, threads: int = 1) -> Scene:
         undistort(config, photos, model, partial, reporter=Reporter(), threads=threads).save(partial)
         partial.rename(made)
     depths = _true_depths(_root(cache) / "photos" / header["photos"] / "depth.npz", model, header)
-    return Scene(name, Views.load(made), CameraGraph.load(folder / "graph.json"), model, points, depths)
+    views = Views.load(made)
+    dense, seconds = _dense(made.with_name(f"{made.name}-dense"), model, views, threads)
+    return Scene(name, views, CameraGraph.load(folder / "graph.json"), model, points, dense, seconds, depths)
+
+
+def _dense(folder: Path, model: Reconstruction, views: Views, threads: int) -> tuple[DenseCloud, float]:
+    """The dense cloud as the pipeline makes it, and the CPU seconds that took."""
+    took = folder / "seconds.json"
+    if not took.is_file():
+        start = time.process_time()
+        cloud = dense_cloud(PointsConfig(), model, views, reporter=Reporter(), threads=threads)
+        seconds = time.process_time() - start
+        cloud.save(folder)
+        took.write_text(json.dumps(seconds))
+    return DenseCloud.load(folder), json.loads(took.read_text())
 
 
 def scene_digest(cache: Path, name: str) -> str:
@@ -159,11 +176,13 @@ def _prepare(name: str, recipe: Recipe, cache: Path, data: Path, threads: int) -
         model = colored(model, photos, threads=threads)
     is_test = dict(zip(photos.names, photos.is_test, strict=True))
     graph = build_camera_graph(model, np.array([is_test[photo] for photo in model.names]), edges, inliers)
-    pruned = PointsConfig(target=max(1, round(OCTREE_SHARE * len(model.points))))
+    target = max(1, round(OCTREE_SHARE * len(model.points)))
     points = {
-        which: initial_points(config, model, reporter=Reporter(), threads=threads)
-        for which, config in (("default", PointsConfig()), ("octree", pruned))
-    }
+        "octree": prune_octree(
+            model.points, model.colors, errors=np.maximum(model.errors, 0.0), track_lengths=model.track_lengths,
+            target=target, threads=threads,
+        )
+    }  # fmt: skip
     kept = recipe.photos if synthetic else base
     _write_photos(photos, _root(cache) / "photos" / kept, recipe.max_side)
     scale = 1.0
@@ -298,7 +317,7 @@ def _read_arrays(path: Path, header: dict) -> tuple[Reconstruction, dict[str, Pr
         np.zeros((len(images), 2)),
     )  # fmt: skip
     points = {}
-    for which in ("default", "octree"):
+    for which in ("octree",):
         positions = arrays[f"{which}_positions"].astype(np.float64)
         points[which] = PrunedPoints(
             positions, arrays[f"{which}_colors"], arrays[f"{which}_scales"].astype(np.float64),

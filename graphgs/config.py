@@ -66,11 +66,13 @@ _AT_LEAST = {"structure.fine_first_octave": -1, "structure.rig_baseline_m": 1e-4
         "training.steps", "training.max_splats", "training.sh_degree_interval", "training.densify_interval",
         "training.opacity_reset_interval", "training.consistency_interval", "pairing.r", "pairing.w",
         "structure.retrieval_words", "structure.coarse_features", "structure.coarse_retry_features",
-        "structure.fine_features", "structure.chunk_pairs", "points.target", "sources.focal_px",
+        "structure.fine_features", "structure.chunk_pairs", "points.target", "points.dense_partners",
+        "sources.focal_px",
     ), 1,
 ) | dict.fromkeys(
     (
-        "sources.decode_max_side", "structure.coarse_max_side", "structure.coarse_retry_max_side",
+        "sources.decode_max_side", "points.dense_max_side", "structure.coarse_max_side",
+        "structure.coarse_retry_max_side",
         "structure.fine_max_side", "structure.max_side",
     ), 32,
 )  # fmt: skip

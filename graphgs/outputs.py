@@ -66,7 +66,7 @@ def write_outputs(run: Run, posed: Posed, made: Made | None, *, command: str, st
     )  # fmt: skip
     if made is not None:
         write_ply(made.trained.splats, output / "splat.ply")
-        publish_pictures(run.workspace.cache / "10_evaluation", output / "eval")
+        publish_pictures(run.workspace.cache / "11_evaluation", output / "eval")
     run.seconds["outputs"] = round(time.perf_counter() - started, 3)
     metrics = collect_metrics(run, posed, made, versions, status)
     write_json(output / "metrics.json", metrics)

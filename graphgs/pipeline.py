@@ -1,6 +1,6 @@
 """The order of stages: known here and nowhere else.
 
-photos -> coarse -> pairs -> matches -> mapping -> views -> graph -> points -> training -> evaluation
+photos -> coarse -> pairs -> matches -> mapping -> views -> graph -> dense -> points -> training -> evaluation
 Each stage is a function from artefacts to an artefact; the workspace keeps them and decides what must run again.
 """
 
@@ -18,11 +18,12 @@ from graphgs.errors import PartialError, UsageError
 from graphgs.evaluation.evaluate import Evaluation, evaluate
 from graphgs.graph import CameraGraph
 from graphgs.graph.build import build_camera_graph
-from graphgs.points import PrunedPoints, initial_points
+from graphgs.points import DenseCloud, PrunedPoints, dense_cloud, initial_points
 from graphgs.scene.views import Views
 from graphgs.sources import Photos, fingerprint, load_photos
 from graphgs.stages import (
     COARSE,
+    DENSE,
     EVALUATION,
     GRAPH,
     MAPPING,
@@ -66,7 +67,8 @@ READS: dict[Stage, tuple[str, ...]] = {
     ),
     VIEWS: ("structure.max_side",),
     GRAPH: (),
-    POINTS: ("points.*",),
+    DENSE: ("points.dense*",),
+    POINTS: ("points.*", "training.max_splats"),
     TRAINING: ("run.seed", "training.*"),
     EVALUATION: (),
 }  # fmt: skip
@@ -84,6 +86,7 @@ _TITLES = {
     MAPPING: "Triangulation and bundle adjustment",
     VIEWS: "Undistorting",
     GRAPH: "Camera graph",
+    DENSE: "Surfaces that photos agree on",
     POINTS: "Initial points",
     TRAINING: "Training Gaussians",
     EVALUATION: "Held-out views",
@@ -230,14 +233,22 @@ def make_scene(run: Run, posed: Posed) -> tuple[Trained, Evaluation]:
     config, reporter, threads = run.config, run.reporter, run.threads
     if not posed.structure.accepted and not config.run.allow_partial:
         raise partial_error(posed, config.structure)
+    model = posed.structure.reconstruction
+    dense = run.stage(
+        DENSE,
+        [MAPPING, VIEWS],
+        lambda folder, scratch: dense_cloud(config.points, model, posed.views, reporter=reporter, threads=threads),
+        DenseCloud.load,
+    )
     points = run.stage(
         POINTS,
-        [MAPPING],
+        [MAPPING, DENSE],
         lambda folder, scratch: initial_points(
-            config.points, posed.structure.reconstruction, reporter=reporter, threads=threads
+            config.points, model, dense,
+            max_splats=config.training.max_splats, reporter=reporter, threads=threads,
         ),
         PrunedPoints.load,
-    )
+    )  # fmt: skip
 
     def produce(folder: Path, scratch: Path) -> Trained:
         return train(

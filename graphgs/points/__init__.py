@@ -1,7 +1,17 @@
-"""Initial points: the reconstruction's, pruned by an octree where they crowd."""
+"""Initial points: the reconstruction's and dense ones, pruned by an octree where they crowd."""
 
+from graphgs.points.config import PointsConfig
+from graphgs.points.dense import DenseCloud, dense_cloud
 from graphgs.points.octree import keep_all, prune_octree
 from graphgs.points.pruned import PrunedPoints
-from graphgs.points.stage import PointsConfig, initial_points
+from graphgs.points.stage import initial_points
 
-__all__ = ["PointsConfig", "PrunedPoints", "initial_points", "keep_all", "prune_octree"]
+__all__ = [
+    "DenseCloud",
+    "PointsConfig",
+    "PrunedPoints",
+    "dense_cloud",
+    "initial_points",
+    "keep_all",
+    "prune_octree",
+]

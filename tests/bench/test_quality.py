@@ -14,6 +14,7 @@ from bench.quality_measure import measure
 from bench.quality_report import write_report
 from bench.quality_scenes import Scene
 from bench.quality_table import Figure, Table
+from graphgs.points import DenseCloud
 from graphgs.scene.reconstruction import Reconstruction
 from tests.support.tiny_scene import tiny_scene
 
@@ -56,7 +57,12 @@ def scene(tmp_path) -> Scene:
         tiny.points, **{k: getattr(tiny.points, k)[::2] for k in ("positions", "colors", "scales")}
     )
     depths = {name: np.full((28, 40), 2.5, np.float32) for name in tiny.views.names}
-    return Scene("fox", tiny.views, tiny.graph, model, {"default": tiny.points, "octree": octree}, depths)
+    dense = DenseCloud(
+        np.repeat(model.points, 3, axis=0) + np.random.default_rng(0).normal(0, 0.1, (3 * count, 3)),
+        np.repeat(model.colors, 3, axis=0),
+        np.full(3 * count, 3), 1.0,
+    )  # fmt: skip
+    return Scene("fox", tiny.views, tiny.graph, model, {"octree": octree}, dense, 1.5, depths)
 
 
 @pytest.fixture
@@ -133,7 +139,7 @@ def test_a_failed_training_stops_no_other(bench, tmp_path, monkeypatch, capsys):
     assert capsys.readouterr().out.count("failed: ValueError: no such thing") == 2
 
 
-def test_altered_inputs(scene, tmp_path):
+def test_altered_inputs(scene, tmp_path, monkeypatch):
     def inputs(**options):
         return quality_inputs.inputs_of(Case("c", "", **options), scene, tmp_path / "altered")
 
@@ -146,6 +152,11 @@ def test_altered_inputs(scene, tmp_path):
 
     assert len(inputs(points="random").points.positions) == len(scene.points["octree"].positions)
     assert len(inputs(points="all").points.positions) == len(scene.model.points)
+    assert len(inputs(points="sparse").points.positions) == len(scene.model.points)
+    assert len(inputs().points.positions) == 4 * len(scene.model.points)  # as the limit of 20,000 is far
+    monkeypatch.setattr(quality_inputs, "JOINED_LIMIT", 100)
+    for which, count in (("joined", 150), ("joined-octree", 60), ("joined-random", 60)):
+        assert len(inputs(points=which).points.positions) == count
 
     moved = inputs(disturbed=True).views.viewmats
     assert (moved[is_test] == scene.views.viewmats[is_test]).all()
@@ -190,12 +201,21 @@ def test_every_case_has_its_place_in_the_report(tmp_path):
         if quality.fits(case, name)
     ]  # fmt: skip
     text = write_report(rows, tmp_path, pictures=tmp_path / "none").read_text()
-    told = ("noise", "every", "exposure", "poses", "plain 0", "plain 1")  # by what they change, not by their name
+    told = (
+        "noise",
+        "every",
+        "joined",
+        "exposure",
+        "poses",
+        "plain 0",
+        "plain 1",
+    )  # by what they change, not by their name
     assert all(f"| {case.name} |" in text for case in CASES if not case.name.startswith(told))
     assert "## Noisy poses" in text
     assert "Also measured" not in text
     assert "## Sparse views" in text
     assert "## Exposure" in text
+    assert "## Octree" in text
     assert "## Refining poses" in text
     plots = sorted(path.name for path in (tmp_path / "pictures").iterdir())
     assert plots == ["gain.svg", "lambda.svg", "noise.svg"]

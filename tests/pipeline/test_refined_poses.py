@@ -25,7 +25,7 @@ def scene(tmp_path_factory):
 
 
 def test_refined_poses_are_exported(scene):
-    trained, views = Trained.load(scene / "cache" / "09_training"), Views.load(scene / "cache" / "06_views")
+    trained, views = Trained.load(scene / "cache" / "10_training"), Views.load(scene / "cache" / "06_views")
     training = ~views.is_test
     assert not (trained.viewmats[training] == views.viewmats[training]).all(axis=(1, 2)).any()
     assert np.array_equal(trained.viewmats[~training], views.viewmats[~training])

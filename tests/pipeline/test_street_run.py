@@ -22,7 +22,8 @@ from graphgs.synth.street import StreetConfig, write_street
 
 STEPS = 60
 OPTIONS = ["--device", "cpu", "--threads", "2", "--preset", "preview"]
-EARLY = {"photos", "coarse", "pairs", "matches", "mapping", "views", "graph", "points"}  # the stages before training
+# The stages before training
+EARLY = {"photos", "coarse", "pairs", "matches", "mapping", "views", "graph", "dense", "points"}
 PROPERTIES = [
     "x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *(f"f_rest_{i}" for i in range(45)),
     "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3",
@@ -110,12 +111,12 @@ def test_more_steps_rerun_training_and_evaluation_alone(photos, scene):
 
 def test_eval_measures_the_same_again(scene, capsys):
     metrics = json.loads((scene / "metrics.json").read_text())
-    kept = (scene / "cache" / "10_evaluation" / "evaluation.json").read_text()
+    kept = (scene / "cache" / "11_evaluation" / "evaluation.json").read_text()
     assert cli._guarded(["eval", str(scene), "--device", "cpu"]) == 0
     assert f"{metrics['psnr']:.2f} dB" in capsys.readouterr().out
     again = json.loads((scene / "eval" / "evaluation.json").read_text())
     assert again["psnr"] == pytest.approx(metrics["psnr"], abs=1e-3)  # splat.ply holds normalised quaternions
-    assert (scene / "cache" / "10_evaluation" / "evaluation.json").read_text() == kept
+    assert (scene / "cache" / "11_evaluation" / "evaluation.json").read_text() == kept
 
 
 @pytest.mark.parametrize(("views", "count"), [("test", 2), ("train", 10), ("all", 12)])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from graphgs.errors import DataError
-from graphgs.points import PointsConfig, initial_points
+from graphgs.points import DenseCloud, PointsConfig, initial_points
 from graphgs.progress import Reporter
 from graphgs.scene.camera import Camera
 from graphgs.scene.reconstruction import Reconstruction
@@ -35,8 +35,16 @@ def _reconstruction(count: int) -> Reconstruction:
     )
 
 
-def _run(config: PointsConfig, count: int):
-    return initial_points(config, _reconstruction(count), reporter=Reporter(), threads=1)
+def _dense(count: int) -> DenseCloud:
+    rng = np.random.default_rng(1)
+    colors = rng.integers(0, 256, (count, 3)).astype(np.uint8)
+    return DenseCloud(rng.normal(size=(count, 3)), colors, rng.integers(3, 6, count), 2.0)
+
+
+def _run(config: PointsConfig, count: int, *, dense: int = 0, max_splats: int = 10_000, reporter=None):
+    return initial_points(
+        config, _reconstruction(count), _dense(dense), max_splats=max_splats, reporter=reporter or Reporter(), threads=1
+    )
 
 
 @pytest.mark.parametrize(
@@ -57,6 +65,32 @@ def test_how_many_points_are_kept(config, expected):
     assert points.colors.dtype == np.uint8
 
 
+@pytest.mark.parametrize(
+    ("config", "max_splats", "expected"),
+    [
+        (PointsConfig(), 10_000, 6000),  # of 1000 reconstructed and 5000 dense points
+        (PointsConfig(), 5_000, 3000),
+        (PointsConfig(fill_fraction=0.1), 1_000, 100),
+        (PointsConfig(minimum=900), 10_000, 900),
+        (PointsConfig(target=2000), 10_000, 2000),
+        (PointsConfig(mode="none"), 5_000, 3000),
+        (PointsConfig(mode="none"), 1_000, 1000),  # what is reconstructed stays
+        (PointsConfig(mode="none"), 100_000, 6000),
+        (PointsConfig(tau=0.0), 100_000, 6000),
+    ],
+)
+def test_dense_points_fill_up(config, max_splats, expected):
+    points = _run(config, 1000, dense=5000, max_splats=max_splats)
+    assert len(points.positions) == expected
+
+
+def test_the_octree_keeps_its_share_of_what_it_is_given():
+    reporter = Events()
+    points = _run(PointsConfig(target=800, fraction=0.4), 500, dense=5000, reporter=reporter)
+    assert (len(points.positions), len(points.representative)) == (800, 2000)
+    assert reporter.events[0][1]["dense"] == 1500
+
+
 def test_a_cloud_without_points_is_explained():
     with pytest.raises(DataError, match="no 3D points") as caught:
         _run(PointsConfig(), 0)
@@ -65,7 +99,7 @@ def test_a_cloud_without_points_is_explained():
 
 def test_what_happened_is_reported():
     reporter = Events()
-    initial_points(PointsConfig(target=50), _reconstruction(200), reporter=reporter, threads=1)
+    _run(PointsConfig(target=50), 200, reporter=reporter)
     (kind, fields), *_ = reporter.events
     assert (kind, fields["reconstructed"], fields["kept"]) == ("points", 200, 50)
     assert fields["coverage"] > 0
