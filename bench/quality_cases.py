@@ -19,6 +19,10 @@ MAIN = ("fox", "street-own", "street", "castle", "kitti_street", "ochota_aerial"
 SYNTHETIC_SETS = ("drive", "street", "street-own")
 PLAIN = {"consistency": "none", "sampling": "uniform"}  # together with points="all": what the method adds is off
 
+# What training starts from: the pipeline's points, with dense ones or without ("sparse"); the reconstruction's alone,
+# all or 40 % of them; or reconstructed and dense ones together ("joined"), all or 40 % of them.
+Points = Literal["pipeline", "sparse", "all", "octree", "random", "joined", "joined-octree", "joined-random"]
+
 
 @dataclass(frozen=True)
 class Case:
@@ -38,19 +42,19 @@ class Case:
 
     # Input
     scene: str = ""  # other poses: the prepared scene SET+scene
-    points: Literal["pipeline", "sparse", "all", "octree", "random", "joined", "joined-octree", "joined-random"] = (
-        "pipeline"  # by the pipeline, with and without dense points; of the reconstruction; of both ("joined"), pruned or drawn
-    )
+    points: Points = "pipeline"
     keep_every: int = 1  # train on every n-th training photo
     noise: float = 0.0  # [rad and camera spacings] every pose disturbed by up to this
     disturbed: bool = False  # training poses off by 0.5 degrees and 1 % of the scene
     exposure_stops: float = 0.0  # training photos brighter or darker by up to this
+    passers_by: float = 0.0  # share of each training photo covered by something that is in no other
 
     @property
     def definition(self) -> dict[str, Any]:
-        """What a measurement depends on, beside the code."""
+        """What a measurement depends on, beside the code: what differs from the defaults."""
         words = ("name", "about", "order", "per_seed", "sets", "seeds")
-        return {f.name: getattr(self, f.name) for f in fields(self) if f.name not in words}
+        values = {f.name: (getattr(self, f.name), f.default) for f in fields(self) if f.name not in words}
+        return {name: value for name, (value, default) in values.items() if value not in (default, {})}
 
 
 def _grid() -> list[Case]:
@@ -136,6 +140,7 @@ CASES = (
         "poses refined", "the same, refined while training", {"refine_poses": True}, sets=("drive", "street", "fox"),
         disturbed=True,
     ),
+    Case("noise 0.3, pipeline", "pairs chosen by such poses", sets=("fox",), scene="noisy-prior"),
     *(
         Case(f"noise {noise:g}", f"every pose off by up to {noise:g} rad and spacings, plain trainer", PLAIN,
              sets=("fox", "street"), points="all", noise=noise)
@@ -145,6 +150,10 @@ CASES = (
     Case("exposure disturbed", "+-1 stop per photo, no model", sets=("drive", "street"), exposure_stops=1.0),
     Case("exposure model", "+-1 stop per photo, affine model", {"exposure": "affine"}, sets=("drive", "street"),
          exposure_stops=1.0),
+    # Passers-by
+    Case("passers-by", "something in a twelfth of each photo", order=1.3, sets=("drive", "fox"), passers_by=0.08),
+    Case("passers-by, robust", "the same, up to .15 of a photo left out", {"robust_share": 0.15}, order=1.3,
+         sets=("drive", "fox"), passers_by=0.08),
     Case("affine exposures", "an exposure model where photos are as they came", {"exposure": "affine"}, order=1.4),
     Case("refined poses", "poses moved where they are our own", {"refine_poses": True}, order=1.4),
     # Sparse views

@@ -3,12 +3,12 @@ of a case train on the same input."""
 
 import dataclasses
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from bench.quality_cases import Case
 from bench.quality_scenes import Scene, every_point
@@ -16,11 +16,10 @@ from graphgs.config import preset
 from graphgs.graph import CameraGraph
 from graphgs.points import DenseCloud, PrunedPoints, dense_cloud, initial_points, keep_all
 from graphgs.progress import Reporter
-from graphgs.scene.neighbours import local_spacing
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.scene.views import Views
 from graphgs.synth.street import GAMMA
-from tests.support.disturbed_poses import disturbed
+from tests.support.disturbed_poses import disturbed, noisy
 
 PREVIEW = preset("preview")
 JOINED_LIMIT = 20_000  # Gaussians, for the points that the octree is compared on: there is room for all of them
@@ -45,9 +44,11 @@ def inputs_of(
         moved = disturbed(views, rotation_deg=DISTURBED_DEG, shift=DISTURBED_SHIFT)
         views, graph = _with_poses(views, graph, moved)
     if case.noise:
-        views, graph = _with_poses(views, graph, _noisy(views, case.noise))
+        views, graph = _with_poses(views, graph, noisy(views.viewmats, case.noise))
     if case.exposure_stops:
         views = _exposed(views, case.exposure_stops, folder)
+    if case.passers_by:
+        views = _passed_by(views, case.passers_by, folder)
     if case.keep_every > 1:
         rows = _kept(views.is_test, case.keep_every)
         dropped = np.isin(np.arange(len(dropped)), rows, invert=True)
@@ -71,7 +72,7 @@ def _points(
     seconds, max_splats = scene.dense_s, case.training.get("max_splats", PREVIEW.training.max_splats)
     if case.points == "sparse":
         dense, seconds = DenseCloud.empty(), 0.0
-    elif case.disturbed or case.noise or case.exposure_stops or case.keep_every > 1:  # from what training is given
+    elif views is not scene.views or dropped.any():  # from what training is given
         start = time.process_time()
         posed = dataclasses.replace(model, rotations=views.viewmats[:, :3, :3], translations=views.viewmats[:, :3, 3])
         usable = dataclasses.replace(views, is_test=views.is_test | dropped)
@@ -140,28 +141,38 @@ def _with_poses(views: Views, graph: CameraGraph, viewmats: np.ndarray) -> tuple
     return views, dataclasses.replace(graph, rotations=viewmats[:, :3, :3], centers=views.centers)
 
 
-def _noisy(views: Views, noise: float) -> np.ndarray:
-    """[N, 4, 4] every pose, held-out ones too, turned about a random axis by up to `noise` rad, and its centre moved
-    along each axis by up to `noise` spacings between cameras."""
-    rng = np.random.default_rng(0)
-    spacing = float(np.median(local_spacing(views.centers)))
-    viewmats = views.viewmats.copy()
-    for k, center in enumerate(views.centers):
-        axis = rng.normal(size=3)
-        turn = Rotation.from_rotvec(axis / np.linalg.norm(axis) * rng.uniform(0, noise)).as_matrix()
-        viewmats[k, :3, :3] = turn @ viewmats[k, :3, :3]
-        viewmats[k, :3, 3] = -viewmats[k, :3, :3] @ (center + spacing * rng.uniform(-noise, noise, 3))
-    return viewmats
-
-
 def _exposed(views: Views, stops: float, folder: Path) -> Views:
     """Training photos brighter or darker; held-out ones as they are, so that a scene is measured at one exposure."""
-    folder.mkdir(parents=True, exist_ok=True)
     drawn = np.random.default_rng(0).uniform(-stops, stops, len(views.names))
+
+    def exposed(image: np.ndarray, i: int) -> np.ndarray:
+        return np.clip(image * 2.0 ** (drawn[i] / GAMMA) + 0.5, 0, 255).astype(np.uint8)
+
+    return _altered(views, exposed, folder)
+
+
+def _passed_by(views: Views, share: float, folder: Path) -> Views:
+    """Training photos with somebody in front: an upright ellipse of one noisy colour, another one in each photo, that
+    covers `share` of it; held-out photos as they are."""
+
+    def passed_by(image: np.ndarray, i: int) -> np.ndarray:
+        rng = np.random.default_rng(i)
+        height, width = image.shape[:2]
+        tall = np.sqrt(share * height * width * 2.5 / np.pi)  # half the height: 2.5 times as tall as wide
+        x, y = rng.uniform(0, width), rng.uniform(0.4, 0.8) * height
+        columns, rows = np.meshgrid(np.arange(width), np.arange(height))
+        inside = ((columns - x) / (tall / 2.5)) ** 2 + ((rows - y) / tall) ** 2 < 1
+        colors = rng.integers(0, 256, 3) + rng.normal(0, 12, image.shape)
+        return np.where(inside[..., None], np.clip(colors, 0, 255), image).astype(np.uint8)
+
+    return _altered(views, passed_by, folder)
+
+
+def _altered(views: Views, change: Callable[[np.ndarray, int], np.ndarray], folder: Path) -> Views:
+    folder.mkdir(parents=True, exist_ok=True)
     images = list(views.images)
     for i in np.flatnonzero(~views.is_test):
-        image = views.read(i)[0] * 2.0 ** (drawn[i] / GAMMA)
         path = (folder / f"{i:06d}.png").resolve()
-        cv2.imwrite(str(path), np.clip(image + 0.5, 0, 255).astype(np.uint8)[..., ::-1])
+        cv2.imwrite(str(path), np.ascontiguousarray(change(views.read(i)[0], i)[..., ::-1]))
         images[i] = str(path)
     return dataclasses.replace(views, images=tuple(images))

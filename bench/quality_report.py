@@ -63,6 +63,7 @@ def write_report(
         sections.noise(table, folder),
         sections.poses(table),
         sections.exposure(table),
+        sections.passers_by(table),
         sections.rates(table),
         _pictures(pictures, folder),
     ]

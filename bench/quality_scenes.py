@@ -26,6 +26,7 @@ from graphgs.scene.covisibility import shared_points
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.scene.similarity import align
 from graphgs.scene.views import Views
+from tests.support.disturbed_poses import noisy
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"  # real photo sets; they are not part of the project
 JPEG_QUALITY = 93  # without chroma subsampling: 43 dB, far above what is measured
@@ -48,6 +49,7 @@ class Recipe:
     max_side: int  # [px] of the training images
     poses: str = "own"  # own, exact (the truth), coarse (the first reconstruction alone)
     settings: tuple[str, ...] = ()  # stage.field=value
+    prior_noise: float = 0.0  # pairs are chosen by the set's own poses, disturbed by up to so many rad and spacings
 
 
 def _variants(name: str, photos: str, max_side: int, loose: bool) -> dict[str, Recipe]:
@@ -69,6 +71,7 @@ RECIPES = {
     "kitti_street": Recipe("kitti_street/images", 401),
     "ochota_aerial": Recipe("ochota_aerial/images", 480),
     "drive": Recipe("drive", 480, "exact"),
+    "fox+noisy-prior": Recipe("fox/images", 480, prior_noise=0.3),
     **_variants("fox", "fox/images", 480, loose=False),
     **_variants("street-own", "street", 480, loose=True),
 }
@@ -169,7 +172,8 @@ def _prepare(name: str, recipe: Recipe, cache: Path, data: Path, threads: int) -
     work = _root(cache) / "work" / (name if recipe.poses == "own" else base)
     if not work.exists() and (_root(cache) / "work" / base).exists():
         shutil.copytree(_root(cache) / "work" / base, work)  # features and coarse poses are the same
-    _pose(source, work, recipe, threads)
+    prior = f"poses={_noisy_poses(cache, base, recipe.prior_noise)}" if recipe.prior_noise else "auto"
+    _pose(source, work, recipe, prior, threads)
     photos = Photos.load(find_stage(work, PHOTOS).folder)
     model, edges, inliers = _reconstruction(recipe, source, work)
     if recipe.poses == "coarse":  # its points have no colours yet
@@ -229,11 +233,21 @@ def _synthetic(cache: Path, name: str) -> Path:
     return folder / "images"
 
 
-def _pose(source: Path, work: Path, recipe: Recipe, threads: int) -> None:
+def _noisy_poses(cache: Path, name: str, noise: float) -> Path:
+    """A prepared scene's poses, disturbed, as KITTI writes them: a line per photo, so all must have been placed."""
+    header = json.loads((_folder(cache, name) / "scene.json").read_text())
+    model, _ = _read_arrays(_folder(cache, name) / "scene.npz", header)
+    world_from_cam = np.linalg.inv(noisy(model.viewmats, noise))
+    path = _root(cache) / "work" / f"{name}-noise-{noise:g}.txt"
+    np.savetxt(path, world_from_cam[:, :3].reshape(-1, 12))
+    return path
+
+
+def _pose(source: Path, work: Path, recipe: Recipe, prior: str, threads: int) -> None:
     from graphgs.api import pose
 
     pose(
-        source, work, preset="preview", max_side=recipe.max_side, threads=threads, allow_partial=True,
+        source, work, preset="preview", max_side=recipe.max_side, threads=threads, allow_partial=True, prior=prior,
         settings_extra=recipe.settings,
     )  # fmt: skip
 

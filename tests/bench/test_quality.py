@@ -163,10 +163,11 @@ def test_altered_inputs(scene, tmp_path, monkeypatch):
     assert (moved[~is_test] != scene.views.viewmats[~is_test]).any(axis=(1, 2)).all()
     assert (inputs(noise=0.3).views.viewmats != scene.views.viewmats).any(axis=(1, 2)).all()
 
-    exposed = inputs(exposure_stops=1.0).views
-    for i in range(len(is_test)):
-        same = np.array_equal(exposed.read(i)[0], scene.views.read(i)[0])
-        assert same == is_test[i]
+    for options, least, most in (({"exposure_stops": 1.0}, 0.0, 1.0), ({"passers_by": 0.1}, 0.02, 0.11)):
+        altered = inputs(**options).views
+        for i in range(len(is_test)):
+            changed = (altered.read(i)[0] != scene.views.read(i)[0]).any(axis=2).mean()
+            assert changed == 0 if is_test[i] else least < changed <= most  # part of an ellipse may lie outside
 
 
 def test_cases_are_named_once_and_unknown_settings_are_said():
@@ -201,20 +202,13 @@ def test_every_case_has_its_place_in_the_report(tmp_path):
         if quality.fits(case, name)
     ]  # fmt: skip
     text = write_report(rows, tmp_path, pictures=tmp_path / "none").read_text()
-    told = (
-        "noise",
-        "every",
-        "joined",
-        "exposure",
-        "poses",
-        "plain 0",
-        "plain 1",
-    )  # by what they change, not by their name
+    told = ("noise", "every", "joined", "exposure", "passers", "poses", "plain 0", "plain 1")  # by what they change
     assert all(f"| {case.name} |" in text for case in CASES if not case.name.startswith(told))
     assert "## Noisy poses" in text
     assert "Also measured" not in text
     assert "## Sparse views" in text
     assert "## Exposure" in text
+    assert "## Passers-by" in text
     assert "## Octree" in text
     assert "## Refining poses" in text
     plots = sorted(path.name for path in (tmp_path / "pictures").iterdir())

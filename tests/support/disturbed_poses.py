@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from graphgs.scene.neighbours import local_spacing
 from graphgs.scene.similarity import diameter
 from graphgs.scene.views import Views
 
@@ -25,6 +26,26 @@ def disturbed(
         viewmats[i, :3, :3] = turn @ viewmats[i, :3, :3]
         viewmats[i, :3, 3] = -viewmats[i, :3, :3] @ center
     return viewmats
+
+
+def noisy(
+    viewmats: np.ndarray,  # [N, 4, 4] world-to-camera
+    noise: float,
+    *,
+    seed: int = 0,
+) -> np.ndarray:  # [N, 4, 4]
+    """Every pose turned about a random axis by up to `noise` rad, and its centre moved along each axis by up to `noise`
+    spacings between cameras."""
+    rng = np.random.default_rng(seed)
+    centers = -np.einsum("nji,nj->ni", viewmats[:, :3, :3], viewmats[:, :3, 3])
+    spacing = float(np.median(local_spacing(centers)))
+    result = viewmats.copy()
+    for k, center in enumerate(centers):
+        axis = rng.normal(size=3)
+        turn = Rotation.from_rotvec(axis / np.linalg.norm(axis) * rng.uniform(0, noise)).as_matrix()
+        result[k, :3, :3] = turn @ viewmats[k, :3, :3]
+        result[k, :3, 3] = -result[k, :3, :3] @ (center + spacing * rng.uniform(-noise, noise, 3))
+    return result
 
 
 def pose_errors(
