@@ -14,10 +14,15 @@ COARSE_S = 0.6  # per photo: .5 to .85
 FEATURES_S = 1.2  # per photo at 1600 px and 4096 features
 PAIR_S = 0.05  # per pair
 MAPPING_S = 0.25  # per photo: .06 to .4
+DENSE_S = 0.3  # per photo swept at 256 px with 4 partners: .2 to .4
 PAIRS_PER_PHOTO = 4.5  # 3.6 to 4.9
-# A training step at 270 x 480 px that ends with 30,000 Gaussians: 73 ms on two threads
-STEP_S = 0.146
-STEP_PIXELS = 270 * 480
+# A training step, seconds on one thread: 10,000 Gaussians at 270 x 480 px take .043, 20,000 .054, 50,000 .11; two threads
+# take .9 of it at 10,000 and .6 at 50,000
+PIXEL_S = 0.025 / (270 * 480)
+SPLAT_S = 1.8e-6
+# On an H100, the only card measured: 13,600 Gaussians .0048, 1,000,000 .003 more
+CARD_S, CARD_SPLAT_S = 0.0045, 5e-9
+MEAN_SHARE = 0.8  # of max_splats, over a run
 # Peak memory: 1.1 GiB for whole runs with 30,000 Gaussians; 2.2 kB more for each Gaussian from 10,000 to 300,000
 BASE_BYTES = 1.0 * 2**30
 SPLAT_BYTES = 2_300
@@ -30,7 +35,8 @@ class Forecast:
     pairs: int
     exhaustive: int
     structure_s: float  # wall
-    training_s: float  # wall, on the CPU
+    training_s: float  # wall, on the CPU, if training uses all of max_splats
+    card_s: float  # wall, on a card
     memory_bytes: float  # if training uses all of max_splats
     threads: int
 
@@ -38,7 +44,7 @@ class Forecast:
         yield f"forecast for {self.threads} CPU threads (rough: a factor of two either way):"
         yield f"  pairs     about {self.pairs} of {self.exhaustive}"
         yield f"  poses     about {_duration(self.structure_s)}"
-        yield f"  training  about {_duration(self.training_s)} on the CPU"
+        yield f"  training  up to {_duration(self.training_s)} on the CPU, {_duration(self.card_s)} on a card like an H100"
         yield f"  memory    up to {self.memory_bytes / 2**30:.1f} GiB"
 
 
@@ -56,9 +62,14 @@ def forecast(
     limit = config.structure.max_side or config.sources.decode_max_side
     scale = np.minimum(1.0, limit / sizes.max(axis=1))
     pixels = float(np.mean(sizes.prod(axis=1) * scale**2))
-    training = config.training.steps * STEP_S * pixels / STEP_PIXELS
+    steps, splats = config.training.steps, MEAN_SHARE * config.training.max_splats
+    training = steps * (PIXEL_S * pixels + SPLAT_S * splats) / threads**0.5  # small kernels share little
+    card = steps * (CARD_S + CARD_SPLAT_S * splats)
+    dense = 0.0
+    if config.points.dense != "none":
+        dense = n * DENSE_S * (config.points.dense_max_side / 256) ** 2 * config.points.dense_partners / 4 / threads
     memory = BASE_BYTES + config.training.max_splats * SPLAT_BYTES
-    return Forecast(pairs, exhaustive, structure / threads, training / threads, memory, threads)
+    return Forecast(pairs, exhaustive, structure / threads, training + dense, card + dense, memory, threads)
 
 
 def _duration(seconds: float) -> str:

@@ -20,6 +20,7 @@ NEARER, FARTHER = 0.6, 3.0  # the planes reach beyond that by these factors
 FEWEST_POINTS = 20  # sparse points of a view; fewer say too little about its depths
 AGREEING = 2  # partners that must find the same surface
 TOLERANCE = 0.01  # of its depth
+MOST_PIXELS = 60e6  # of all photos together, 11 bytes each in memory: 1600 photos of 256 x 144; more are made smaller
 MOST_POINTS = 1_000_000  # kept, the same number from each view
 
 
@@ -61,7 +62,8 @@ def dense_cloud(
     reporter: Reporter,
     threads: int,
 ) -> DenseCloud:
-    """Find surfaces in the training photos, at most `config.dense_max_side` px wide. Held-out photos are not read.
+    """Find surfaces in the training photos, reduced to at most `config.dense_max_side` px, and to what fits into memory.
+    Held-out photos are not read.
 
     The same points for any number of threads. Empty where the photos share too little."""
     if config.dense == "none":
@@ -69,7 +71,7 @@ def dense_cloud(
     training = np.flatnonzero(~views.is_test)
     partners = sweep_partners(reconstruction, ~views.is_test, config.dense_partners)
     ranges = _depth_ranges(reconstruction)
-    factor = min(1.0, config.dense_max_side / max(1, int(views.sizes[training].max(initial=1))))
+    factor = _factor(views.sizes[training], config.dense_max_side)
     total = 3 * len(training)
 
     with ThreadPoolExecutor(threads) as pool:
@@ -112,6 +114,13 @@ class _Small:
     posed: PosedImage
     colors: np.ndarray  # [H, W, 3] uint8 RGB
     mask: np.ndarray | None  # [H, W] bool: what counts
+
+
+def _factor(sizes: np.ndarray, longest: int) -> float:
+    """By which photos of these sizes [N, 2] are reduced."""
+    by_side = longest / max(1, int(sizes.max(initial=1)))
+    by_memory = np.sqrt(MOST_PIXELS / max(1.0, float(sizes.prod(axis=1).sum())))
+    return float(min(1.0, by_side, by_memory))
 
 
 def _reduced(views: Views, i: int, factor: float) -> _Small:

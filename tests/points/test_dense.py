@@ -81,6 +81,12 @@ def test_each_photo_gives_at_most_its_share(tmp_path, monkeypatch):
     assert len(_cloud(walls)) == 600
 
 
+def test_very_many_photos_are_made_smaller(tmp_path, monkeypatch):
+    walls = textured_walls(tmp_path)
+    monkeypatch.setattr(dense, "MOST_PIXELS", 6 * WIDTH * HEIGHT / 4)
+    assert _cloud(walls).pixel == 2.0
+
+
 def test_saved_and_loaded(tmp_path):
     cloud = _cloud(textured_walls(tmp_path), dense_max_side=48)
     cloud.save(tmp_path / "kept")
