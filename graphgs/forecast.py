@@ -16,8 +16,8 @@ PAIR_S = 0.05  # per pair
 MAPPING_S = 0.25  # per photo: .06 to .4
 DENSE_S = 0.3  # per photo swept at 256 px with 4 partners: .2 to .4
 PAIRS_PER_PHOTO = 4.5  # 3.6 to 4.9
-# A training step, seconds on one thread: 10,000 Gaussians at 270 x 480 px take .043, 20,000 .054, 50,000 .11; two threads
-# take .9 of it at 10,000 and .6 at 50,000
+# A training step, seconds on one thread: 10,000 Gaussians at 270 x 480 px take .043, 20,000 .054, 50,000 .11; two
+# threads take .9 of it at 10,000 and .6 at 50,000
 PIXEL_S = 0.025 / (270 * 480)
 SPLAT_S = 1.8e-6
 # On an H100, the only card measured: 13,600 Gaussians .0048, 1,000,000 .003 more
@@ -44,7 +44,8 @@ class Forecast:
         yield f"forecast for {self.threads} CPU threads (rough: a factor of two either way):"
         yield f"  pairs     about {self.pairs} of {self.exhaustive}"
         yield f"  poses     about {_duration(self.structure_s)}"
-        yield f"  training  up to {_duration(self.training_s)} on the CPU, {_duration(self.card_s)} on a card like an H100"
+        cpu, card = _duration(self.training_s), _duration(self.card_s)
+        yield f"  training  up to {cpu} on the CPU, {card} on a card like an H100"
         yield f"  memory    up to {self.memory_bytes / 2**30:.1f} GiB"
 
 

@@ -62,7 +62,7 @@ def dense_cloud(
     reporter: Reporter,
     threads: int,
 ) -> DenseCloud:
-    """Find surfaces in the training photos, reduced to at most `config.dense_max_side` px, and to what fits into memory.
+    """Find surfaces in the training photos, reduced to at most `config.dense_max_side` px and to what memory holds.
     Held-out photos are not read.
 
     The same points for any number of threads. Empty where the photos share too little."""
