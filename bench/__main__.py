@@ -35,6 +35,7 @@ WORKLOADS = {
     "memory": Workload("memory", "peak memory of rendering, and whether it grows"),
     "ssim": Workload("ssim", "photometric loss, forward and backward"),
     "reproject": Workload("reproject", "consistency loss, forward and backward"),
+    "sweep": Workload("sweep", "planes swept through one photo"),
     "octree": Workload("octree", "pruning 300,000 points"),
     "structure": Workload("structure", "pairs, matching, mapping: 150 and 600 photos", cached=True, on_request=True),
     "structure-quick": Workload("structure_quick", "the same on 75 photos", cached=True, on_request=True),
