@@ -246,7 +246,10 @@ def main() -> int:
     elif args.report is not None:
         if args.report != NO_FOLDER:
             RESULTS.parent.mkdir(exist_ok=True)
-            RESULTS.write_text("".join(json.dumps(row) + "\n" for row in Store(args.report / "quality.jsonl").rows))
+            taken = Store(args.report / "quality.jsonl").rows
+            devices = {row["device"] for row in taken}
+            kept = [row for row in Store(RESULTS).rows if row["device"] not in devices]
+            RESULTS.write_text("".join(json.dumps(row) + "\n" for row in [*kept, *taken]))
         docs = Path(__file__).resolve().parents[1] / "docs"
         print(write_report(Store(RESULTS).rows, docs, pictures=args.report / "pictures"))
     else:

@@ -71,7 +71,7 @@ def _grid() -> list[Case]:
 
 CASES = (
     Case(
-        "full", "the default: dense points pruned by the octree, consistency, sampling by importance",
+        "full", "the default: dense points, pruned by the octree, and their depth; consistency; sampling by importance",
         order=0, per_seed=0.2, sets=(*MAIN, "drive"),
     ),
     Case(
@@ -87,7 +87,10 @@ CASES = (
         "plain tuned, equal time", "the tuned control for as long as the full method takes", PLAIN,
         order=0.6, per_seed=0.2, points="all", tuned=True, time_of="full",
     ),
-    Case("plain, dense points", "the control from the full method's points", PLAIN, order=0.7, per_seed=0.2),
+    Case(
+        "plain, dense points", "the control from the full method's points", PLAIN | {"lambda_depth": 0.0}, order=0.7,
+        per_seed=0.2,
+    ),
     Case("full, control's rates", "the full method with the tuned control's rates", tuned=True),
     # Consistency
     Case("no consistency", "without the consistency loss (lambda 0)", {"consistency": "none"}),
@@ -107,7 +110,8 @@ CASES = (
     Case("full at .6", "the full method with .6 of the steps", steps=0.6),
     Case("uniform at .6", "even draws with .6 of the steps", {"sampling": "uniform"}, steps=0.6),
     # Initial points
-    Case("no dense points", "from the reconstruction's points alone", order=0.8, points="sparse"),
+    Case("no dense points", "without dense points and their depths", order=0.8, points="sparse"),
+    Case("no depth loss", "without comparing depths with theirs", {"lambda_depth": 0.0}, order=0.9),
     Case("all points", "from all the reconstruction's points, unpruned", points="all"),
     Case("octree .4", "from 40 % of those, pruned by the octree", points="octree"),
     Case("random .4", "from as many of those, drawn at random", points="random"),

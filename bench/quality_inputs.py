@@ -22,6 +22,7 @@ from graphgs.synth.street import GAMMA
 from tests.support.disturbed_poses import disturbed, noisy
 
 PREVIEW = preset("preview")
+WITHOUT_DENSE = ("sparse", "all", "octree", "random")  # initial points of the reconstruction alone
 JOINED_LIMIT = 20_000  # Gaussians, for the points that the octree is compared on: there is room for all of them
 DISTURBED_DEG, DISTURBED_SHIFT = 0.5, 0.01  # of a pose: turn, and shift in largest distances between cameras
 
@@ -31,6 +32,7 @@ class Inputs:
     views: Views
     graph: CameraGraph
     points: PrunedPoints
+    dense: DenseCloud
     dense_s: float  # CPU seconds that went into the points beside the reconstruction
 
 
@@ -53,41 +55,46 @@ def inputs_of(
         rows = _kept(views.is_test, case.keep_every)
         dropped = np.isin(np.arange(len(dropped)), rows, invert=True)
         model = _points_of(model, _seen_twice(model, rows[~views.is_test[rows]]))
-    points, seconds = _points(case, scene, model, views, dropped)
+    dense, seconds = _dense(case, scene, model, views, dropped)
+    points = _points(case, scene, model, dense)
     if dropped.any():
-        views, graph = _view_rows(views, np.flatnonzero(~dropped)), _graph_rows(graph, np.flatnonzero(~dropped))
-    return Inputs(views, graph, points, seconds)
+        kept = np.flatnonzero(~dropped)
+        views, graph, dense = _view_rows(views, kept), _graph_rows(graph, kept), dense.of_views(kept)
+    return Inputs(views, graph, points, dense, seconds)
 
 
-def _points(
+def _dense(
     case: Case, scene: Scene, model: Reconstruction, views: Views, dropped: np.ndarray
-) -> tuple[PrunedPoints, float]:
-    """The initial points a case starts from, and the CPU seconds its dense cloud took."""
+) -> tuple[DenseCloud, float]:
+    """The dense cloud of a case, from the poses and photos that training is given, and the CPU seconds it took."""
+    if case.points in WITHOUT_DENSE:
+        return DenseCloud.empty(), 0.0
+    if views is scene.views and not dropped.any():
+        return scene.dense, scene.dense_s
+    start = time.process_time()
+    posed = dataclasses.replace(model, rotations=views.viewmats[:, :3, :3], translations=views.viewmats[:, :3, 3])
+    usable = dataclasses.replace(views, is_test=views.is_test | dropped)
+    dense = dense_cloud(PREVIEW.points, posed, usable, reporter=Reporter(), threads=1)
+    return dense, time.process_time() - start
+
+
+def _points(case: Case, scene: Scene, model: Reconstruction, dense: DenseCloud) -> PrunedPoints:
+    """The initial points of a case."""
     if case.points == "all":
-        return every_point(model), 0.0
+        return every_point(model)
     if case.points == "octree":
-        return scene.points["octree"], 0.0
+        return scene.points["octree"]
     if case.points == "random":
-        return _drawn(every_point(model), len(scene.points["octree"].positions)), 0.0
-    seconds, max_splats = scene.dense_s, case.training.get("max_splats", PREVIEW.training.max_splats)
-    if case.points == "sparse":
-        dense, seconds = DenseCloud.empty(), 0.0
-    elif views is not scene.views or dropped.any():  # from what training is given
-        start = time.process_time()
-        posed = dataclasses.replace(model, rotations=views.viewmats[:, :3, :3], translations=views.viewmats[:, :3, 3])
-        usable = dataclasses.replace(views, is_test=views.is_test | dropped)
-        dense = dense_cloud(PREVIEW.points, posed, usable, reporter=Reporter(), threads=1)
-        seconds = time.process_time() - start
-    else:
-        dense = scene.dense
-    config = PREVIEW.points
+        return _drawn(every_point(model), len(scene.points["octree"].positions))
+    config, max_splats = PREVIEW.points, case.training.get("max_splats", PREVIEW.training.max_splats)
+    options = {"max_splats": max_splats, "reporter": Reporter(), "threads": 1}
     if case.points.startswith("joined"):  # what the default gives the octree, of a smaller limit
         config = dataclasses.replace(config, target=config.target_for(len(model.points), max_splats=JOINED_LIMIT))
     if case.points in ("joined", "joined-random"):
         every = dataclasses.replace(config, mode="none", target=round(config.target / config.fraction))
-        points = initial_points(every, model, dense, max_splats=max_splats, reporter=Reporter(), threads=1)
-        return (points if case.points == "joined" else _drawn(points, config.target)), seconds
-    return initial_points(config, model, dense, max_splats=max_splats, reporter=Reporter(), threads=1), seconds
+        points = initial_points(every, model, dense, **options)
+        return points if case.points == "joined" else _drawn(points, config.target)
+    return initial_points(config, model, dense, **options)
 
 
 def _drawn(points: PrunedPoints, count: int) -> PrunedPoints:

@@ -50,7 +50,7 @@ def measure(job: Job) -> dict:
         inputs = inputs_of(job.case, scene, Path(scratch) / "photos")
         start = time.process_time()  # on a CPU its own seconds, which what else runs there hardly changes
         trained = train(
-            config, inputs.views, inputs.graph, inputs.points,
+            config, inputs.views, inputs.graph, inputs.points, surfaces=inputs.dense,
             scratch=Path(scratch) / "checkpoints", device=job.device, seed=job.seed, threads=job.threads,
         )  # fmt: skip
         seconds = trained.stats.seconds if job.device != "cpu" else time.process_time() - start

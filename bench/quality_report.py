@@ -27,7 +27,7 @@ GROUPS = {
         "uniform", "sampling paper", "sampling affine", "sampling loss", "importance degree", "full at .6",
         "uniform at .6",
     ),
-    "Initial points": ("no dense points", "all points", "octree .4", "random .4"),
+    "Initial points": ("no dense points", "no depth loss", "all points", "octree .4", "random .4"),
     "Densification": ("mcmc", "signed gradients", "kept opacity"),
     "Floaters, sky, passers-by, speed": (
         "sky sphere", "robust .1", "prune near", "prune unconfirmed", "warm-up .3", "sparse Adam",
@@ -114,7 +114,7 @@ Made by `python -m bench.quality --report` from `bench/results/quality.jsonl`; n
   from our own structure estimation. `street` has the exact poses, `street-own` the same photos with our own; both are
   synthetic, three cameras on a vehicle, every 4th frame; `drive` is synthetic, one camera, every frame, exact poses.
   Photos are stored as JPEG of quality {JPEG_QUALITY} at the training size. Defaults are those of that commit; why they
-  are what they are stands in decisions/0014, 0020, 0024 and 0031.
+  are what they are stands in decisions/0014, 0020, 0024, 0031 and 0032.
 - **Judged** on every 8th photo, never trained on; {missing} held-out photos could not be placed and are not in the
   means. PSNR is the mean over held-out views, "worst" its lowest view. Up to {seeds} seeds; ± is the standard deviation
   over them.

@@ -2,7 +2,6 @@
 
 import math
 import statistics
-from collections import Counter
 from dataclasses import dataclass
 
 from scipy.special import stdtrit
@@ -33,13 +32,12 @@ class Figure:
 
 
 def settings_of(rows: list[dict]) -> list[tuple[str, int]]:
-    """(device, steps) of the measurements, the most frequent first."""
-    counts = Counter((row["device"], row["base_steps"]) for row in rows)
-    return [setting for setting, _ in counts.most_common()]
+    """(device, steps) of the measurements, the last measured first."""
+    return list(dict.fromkeys((row["device"], row["base_steps"]) for row in reversed(rows)))
 
 
 class Table:
-    """The measurements of one device and number of steps, the most frequent unless named; of equal ones the last."""
+    """The measurements of one device and number of steps, by default the last measured; of equal ones the last."""
 
     def __init__(self, rows: list[dict], setting: tuple[str, int] | None = None):
         self.device, self.steps = settings_of(rows)[0] if setting is None else setting

@@ -252,12 +252,12 @@ def make_scene(run: Run, posed: Posed) -> tuple[Trained, Evaluation]:
 
     def produce(folder: Path, scratch: Path) -> Trained:
         return train(
-            config.training, posed.views, posed.graph, points,
+            config.training, posed.views, posed.graph, points, surfaces=dense,
             scratch=scratch, device=run.device, seed=config.run.seed, threads=threads, reporter=reporter,
         )  # fmt: skip
 
     checkpoints = run.workspace.output / "checkpoints"
-    trained = run.stage(TRAINING, [VIEWS, GRAPH, POINTS], produce, Trained.load, scratch=checkpoints)
+    trained = run.stage(TRAINING, [VIEWS, GRAPH, DENSE, POINTS], produce, Trained.load, scratch=checkpoints)
     evaluation = run.stage(
         EVALUATION,
         [VIEWS, TRAINING],

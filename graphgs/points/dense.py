@@ -31,20 +31,29 @@ class DenseCloud:
     positions: np.ndarray  # [D, 3] world
     colors: np.ndarray  # [D, 3] uint8 RGB
     track_lengths: np.ndarray  # [D] int, photos that agree
+    views: np.ndarray  # [D] int, the view that each was found in
     pixel: float  # side of the pixels compared, in pixels of the training images
 
     @staticmethod
     def empty() -> "DenseCloud":
-        return DenseCloud(np.zeros((0, 3)), np.zeros((0, 3), np.uint8), np.zeros(0, int), 1.0)
+        return DenseCloud(np.zeros((0, 3)), np.zeros((0, 3), np.uint8), np.zeros(0, int), np.zeros(0, int), 1.0)
 
     def __len__(self) -> int:
         return len(self.positions)
+
+    def of_views(self, rows: np.ndarray) -> "DenseCloud":
+        """What was found in these views, which are then numbered 0, 1, ..."""
+        number = np.full(max(rows.max(initial=-1), self.views.max(initial=-1)) + 1, -1)
+        number[rows] = np.arange(len(rows))
+        kept = number[self.views] >= 0
+        fields = (self.positions, self.colors, self.track_lengths)
+        return DenseCloud(*(field[kept] for field in fields), number[self.views[kept]], self.pixel)
 
     def save(self, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         np.savez(
             folder / "dense.npz", positions=self.positions, colors=self.colors,
-            track_lengths=self.track_lengths, pixel=self.pixel,
+            track_lengths=self.track_lengths, views=self.views, pixel=self.pixel,
         )  # fmt: skip
 
     @staticmethod
@@ -102,7 +111,8 @@ def dense_cloud(
             return _agreed(small[i], found[i], others, most=most, seed=int(i))
 
         parts = all_of(points_of, training, 2 * len(training))
-    cloud = DenseCloud(*(np.concatenate(part) for part in zip(*parts, strict=True)), pixel=1.0 / factor)
+    found_in = np.repeat(training, [len(positions) for positions, *_ in parts])
+    cloud = DenseCloud(*map(np.concatenate, zip(*parts, strict=True)), found_in, pixel=1.0 / factor)
     reporter.event("dense", points=len(cloud), photos=sum(depths is not None for depths in found.values()))
     return cloud
 

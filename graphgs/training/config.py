@@ -129,6 +129,10 @@ class TrainConfig:
     consistency_interval: int = 4
     """Ours: every n-th step carries it, as each needs a second render."""
 
+    # Surfaces that photos agree on (docs/decisions/0032-depth-of-surfaces.md)
+    lambda_depth: float = 0.05
+    """Ours: weight of the difference between rendered depth and surfaces found by plane sweep, at the first step."""
+
     # Real-world nuisances (docs/decisions/0028-sky-and-passers-by.md)
     sky: Literal["none", "sphere"] = "none"
     """sphere: start with Gaussians on a far sphere, too, wherever a photo looks past all sparse points."""

@@ -16,7 +16,7 @@ import torch
 
 from graphgs.errors import DataError
 from graphgs.graph import CameraGraph
-from graphgs.points import PrunedPoints
+from graphgs.points import DenseCloud, PrunedPoints
 from graphgs.progress import Reporter
 from graphgs.rendering.splats import Splats
 from graphgs.scene.views import Views
@@ -44,6 +44,7 @@ def train(
     graph: CameraGraph,
     points: PrunedPoints,
     *,
+    surfaces: DenseCloud | None = None,  # what the depth loss compares with; None: there is none
     scratch: Path,  # checkpoints; a later call with the same arguments goes on from here
     device: str = "cpu",
     seed: int = 0,
@@ -71,9 +72,12 @@ def train(
             reporter.event("sky", gaussians=len(start.positions) - len(points.positions))
         initial = _initial(config, start, device=device, reporter=reporter)
         depths = near_depths(views, points.positions)
-        trainer = Trainer(config, views, graph, initial, extent=extent, near_depths=depths, device=device, seed=seed)
+        trainer = Trainer(
+            config, views, graph, initial,
+            extent=extent, near_depths=depths, device=device, seed=seed, surfaces=surfaces,
+        )  # fmt: skip
         try:
-            run = _Run(trainer, scratch, _fingerprint(config, views, graph, initial, device, seed), reporter)
+            run = _Run(trainer, scratch, _fingerprint(config, views, graph, initial, surfaces, device, seed), reporter)
             run.advance(config.steps if stop_at is None else min(stop_at, config.steps), interrupted)
         finally:
             trainer.close()
@@ -214,7 +218,15 @@ def _check_cameras(views: Views) -> None:
         )
 
 
-def _fingerprint(config: TrainConfig, views: Views, graph: CameraGraph, initial: Splats, device: str, seed: int) -> str:
+def _fingerprint(
+    config: TrainConfig,
+    views: Views,
+    graph: CameraGraph,
+    initial: Splats,
+    surfaces: DenseCloud | None,
+    device: str,
+    seed: int,
+) -> str:
     """Of everything the result depends on: a checkpoint of anything else is not continued."""
     settings = {k: v for k, v in dataclasses.asdict(config).items() if k not in RUNNING}
     plain = [VERSION, settings, seed, torch.device(device).type, views.names, views.images, graph.names]
@@ -228,6 +240,7 @@ def _fingerprint(config: TrainConfig, views: Views, graph: CameraGraph, initial:
     ]
     arrays += [graph.targets(mode=config.consistency), graph.edges] if config.consistency != "none" else []
     arrays += [tensor.cpu().numpy() for tensor in (initial.means, initial.log_scales, initial.sh_coeffs)]
+    arrays += [surfaces.positions, surfaces.views] if surfaces is not None and config.lambda_depth > 0.0 else []
     for array in arrays:
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()

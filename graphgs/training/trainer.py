@@ -9,6 +9,7 @@ from torch import Tensor
 from graphgs.graph import CameraGraph
 from graphgs.graph.sampler import ViewSampler
 from graphgs.losses import photometric_loss
+from graphgs.points import DenseCloud
 from graphgs.rendering import IntersectionOverflow, RenderOutput, rasterize
 from graphgs.rendering.splats import Splats
 from graphgs.scene.views import Views
@@ -26,6 +27,7 @@ from graphgs.training.robust import fitting_pixels
 from graphgs.training.schedule import Schedule
 from graphgs.training.sky import scene_middle
 from graphgs.training.strategy import Strategy, make_strategy
+from graphgs.training.surface_depth import SurfaceDepth
 from graphgs.training.warm_up import reduce_camera, reduce_photo, reduction_of
 
 RECOVERY_RATE = 0.5  # learning rates after a roll-back
@@ -47,6 +49,7 @@ class Trainer:
         near_depths: np.ndarray | None = None,  # [N] camera z at which each training view begins; None: not known
         device: str,
         seed: int,
+        surfaces: DenseCloud | None = None,
     ):
         self.config, self.views, self.graph, self.device = config, views, graph, device
         self.schedule = Schedule(config)
@@ -79,6 +82,10 @@ class Trainer:
         self._consistency = (
             None if config.consistency == "none" else ConsistencyTerm(config, views, graph, device=device, seed=seed)
         )
+
+        self._surface_depth = None
+        if config.lambda_depth > 0.0 and surfaces is not None and len(surfaces):
+            self._surface_depth = SurfaceDepth(config, views, surfaces, device=device)
 
     def view_of_step(self, step: int) -> int:
         """The training view of an executed step."""
@@ -138,6 +145,10 @@ class Trainer:
             )
             if extra is not None:
                 loss = loss + self.config.lambda_consistency * extra
+        if self._surface_depth is not None and factor == 1:
+            extra = self._surface_depth.loss(view, out)
+            if extra is not None:
+                loss = loss + self._surface_depth.weight(step) * extra
         if (penalty := self._regularisation.loss(*gaussians[2:4])) is not None:
             loss = loss + penalty
         self.strategy.before_backward(step, out)

@@ -60,7 +60,7 @@ def scene(tmp_path) -> Scene:
     dense = DenseCloud(
         np.repeat(model.points, 3, axis=0) + np.random.default_rng(0).normal(0, 0.1, (3 * count, 3)),
         np.repeat(model.colors, 3, axis=0),
-        np.full(3 * count, 3), 1.0,
+        np.full(3 * count, 3), np.ones(3 * count, int), 1.0,
     )  # fmt: skip
     return Scene("fox", tiny.views, tiny.graph, model, {"octree": octree}, dense, 1.5, depths)
 
@@ -225,7 +225,7 @@ def test_another_device_has_a_page_of_its_own(tmp_path):
     }  # fmt: skip
     here = [row | {"device": "a card", "psnr": 26.25, "case": case} for case in ("full", "plain")]
     there = [row | {"device": "A CPU, 2", "psnr": 28.75}]
-    text = write_report(here + there, tmp_path, pictures=tmp_path / "none").read_text()
+    text = write_report(there + here, tmp_path, pictures=tmp_path / "none").read_text()
     assert "[A CPU, 2, 2000 steps](results-a-cpu-2-2000.md)" in text
     assert "26.25" in text
     assert "28.75" not in text

@@ -128,3 +128,25 @@ def test_photos_without_points_have_no_partners(tmp_path, count):
         track_xy=model.track_xy[:cut],
     )  # fmt: skip
     assert all(len(chosen) == 0 for chosen in sweep_partners(few, np.ones(7, bool), 4))
+
+
+def test_each_point_is_known_by_its_view(tmp_path):
+    walls = textured_walls(tmp_path)
+    cloud = _cloud(walls)
+    assert set(cloud.views) == {1, 2, 3, 4, 5, 6}
+    for i in (1, 6):
+        found = cloud.positions[cloud.views == i]
+        in_camera = found @ walls.views.viewmats[i, :3, :3].T + walls.views.viewmats[i, :3, 3]
+        pixels = in_camera @ walls.views.Ks[i].T
+        pixels = pixels[:, :2] / pixels[:, 2:]
+        assert np.allclose(pixels % 1.0, 0.5, atol=1e-6)  # at the middles of pixels
+        columns, rows = pixels.astype(int).T
+        assert np.median(np.abs(in_camera[:, 2] / walls.depths[i][rows, columns] - 1)) < 0.01
+
+
+def test_the_part_of_some_views(tmp_path):
+    cloud = _cloud(textured_walls(tmp_path))
+    part = cloud.of_views(np.array([2, 5]))
+    assert np.array_equal(part.positions[part.views == 0], cloud.positions[cloud.views == 2])
+    assert np.array_equal(part.positions[part.views == 1], cloud.positions[cloud.views == 5])
+    assert len(part) == np.isin(cloud.views, [2, 5]).sum()

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from graphgs.graph import CameraGraph
-from graphgs.points import PrunedPoints
+from graphgs.points import DenseCloud, PrunedPoints
 from graphgs.rendering.splats import Splats, render
 from graphgs.scene.views import Views
 
@@ -72,3 +72,11 @@ def _look_at_origin(angle: float) -> np.ndarray:
     viewmat[:3, :3] = [[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]]
     viewmat[2, 3] = 2.5
     return viewmat
+
+
+def tiny_surfaces(scene: TinyScene) -> DenseCloud:
+    """The blobs' centres as surfaces, as every view has found them, held-out ones too."""
+    count, views = len(scene.truth), len(scene.views.names)
+    positions = np.tile(scene.truth.means.numpy().astype(np.float64), (views, 1))
+    colors = np.full((len(positions), 3), 128, np.uint8)
+    return DenseCloud(positions, colors, np.full(len(positions), 3), np.repeat(np.arange(views), count), 1.0)

@@ -9,7 +9,7 @@ from graphgs.rendering.splats import TENSORS
 from graphgs.scene.views import Views
 from graphgs.training import train
 from graphgs.training.config import TrainConfig
-from tests.support.tiny_scene import TinyScene, tiny_scene
+from tests.support.tiny_scene import TinyScene, tiny_scene, tiny_surfaces
 
 EVERYTHING = TrainConfig(
     steps=40,
@@ -24,11 +24,15 @@ EVERYTHING = TrainConfig(
     sky="sphere",
     robust_share=0.1,
     robust_from_fraction=0.2,
+    lambda_depth=0.1,
 )
 
 
 def _train(scene: TinyScene, scratch):
-    trained = train(EVERYTHING, scene.views, scene.graph, scene.points, scratch=scratch, seed=3, threads=1)
+    trained = train(
+        EVERYTHING, scene.views, scene.graph, scene.points,
+        surfaces=tiny_surfaces(scene), scratch=scratch, seed=3, threads=1,
+    )  # fmt: skip
     arrays = [getattr(trained.splats, name).numpy() for name in TENSORS]
     return [*arrays, trained.viewmats, trained.exposures], trained
 
