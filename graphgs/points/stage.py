@@ -4,7 +4,7 @@ import numpy as np
 
 from graphgs.errors import DataError
 from graphgs.points.config import PointsConfig
-from graphgs.points.dense import DenseCloud
+from graphgs.points.dense_cloud import DenseCloud
 from graphgs.points.octree import keep_all, prune_octree
 from graphgs.points.pruned import PrunedPoints
 from graphgs.progress import Reporter
