@@ -1,8 +1,8 @@
 """Prepared inputs of the quality benchmark: posed photos, their graph and their points, found once and kept small.
 
 A scene holds photos at the training size (JPEG, shared by all scenes of a set), a reconstruction without the image
-points, the camera graph, and initial points as the pipeline makes them. So training can start from it elsewhere,
-without estimating poses or building the octree again. Undistorted views are remade from it where it is used.
+points and their errors, which the octree then takes for exact, and the camera graph. So training can start from it
+elsewhere, without estimating poses again. Undistorted views and the dense cloud are remade from it where it is used.
 """
 
 import dataclasses
@@ -26,6 +26,7 @@ from graphgs.scene.covisibility import shared_points
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.scene.similarity import align
 from graphgs.scene.views import Views
+from graphgs.stages import DENSE
 from tests.support.disturbed_poses import noisy
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"  # real photo sets; they are not part of the project
@@ -128,7 +129,9 @@ def load_scene(cache: Path, name: str, *, threads: int = 1) -> Scene:
         partial.rename(made)
     depths = _true_depths(_root(cache) / "photos" / header["photos"] / "depth.npz", model, header)
     views = Views.load(made)
-    dense, seconds = _dense(made.with_name(f"{made.name}-dense"), model, views, threads)
+    settings = {k: v for k, v in dataclasses.asdict(PointsConfig()).items() if k.startswith("dense")}
+    kind = hashlib.sha256(json.dumps([DENSE.version, settings]).encode()).hexdigest()[:8]
+    dense, seconds = _dense(made.with_name(f"{made.name}-dense-{kind}"), model, views, threads)
     return Scene(name, views, CameraGraph.load(folder / "graph.json"), model, points, dense, seconds, depths)
 
 

@@ -61,12 +61,14 @@ PRESETS: dict[Preset, dict[str, dict[str, Any]]] = {
 }
 
 # What numbers may be: at least 0, shares at most 1, and otherwise as said here.
-_AT_LEAST = {"structure.fine_first_octave": -1, "structure.rig_baseline_m": 1e-4} | dict.fromkeys(
+_AT_LEAST = {
+    "structure.fine_first_octave": -1, "structure.rig_baseline_m": 1e-4, "points.dense_partners": 2,
+} | dict.fromkeys(
     (
         "training.steps", "training.max_splats", "training.sh_degree_interval", "training.densify_interval",
         "training.opacity_reset_interval", "training.consistency_interval", "pairing.r", "pairing.w",
         "structure.retrieval_words", "structure.coarse_features", "structure.coarse_retry_features",
-        "structure.fine_features", "structure.chunk_pairs", "points.target", "points.dense_partners",
+        "structure.fine_features", "structure.chunk_pairs", "points.target",
         "sources.focal_px",
     ), 1,
 ) | dict.fromkeys(

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from graphgs.config import Config
+from graphgs.points.dense import MOST_PIXELS
 
 # Seconds on one thread
 DECODE_S = 0.15  # per photo: .05 (0.5 megapixels) to .23 (2 megapixels)
@@ -14,7 +15,8 @@ COARSE_S = 0.6  # per photo: .5 to .85
 FEATURES_S = 1.2  # per photo at 1600 px and 4096 features
 PAIR_S = 0.05  # per pair
 MAPPING_S = 0.25  # per photo: .06 to .4
-DENSE_S = 0.3  # per photo swept at 256 px with 4 partners: .2 to .4
+DENSE_S, DENSE_PIXELS = 0.3, 256 * 144  # per photo of this size swept with 4 partners: .2 to .4
+DENSE_BYTES = 11  # per pixel of all swept photos
 PAIRS_PER_PHOTO = 4.5  # 3.6 to 4.9
 # A training step, seconds on one thread: 10,000 Gaussians at 270 x 480 px take .043, 20,000 .054, 50,000 .11; two
 # threads take .9 of it at 10,000 and .6 at 50,000
@@ -63,13 +65,16 @@ def forecast(
     limit = config.structure.max_side or config.sources.decode_max_side
     scale = np.minimum(1.0, limit / sizes.max(axis=1))
     pixels = float(np.mean(sizes.prod(axis=1) * scale**2))
+    memory = BASE_BYTES + config.training.max_splats * SPLAT_BYTES
     steps, splats = config.training.steps, MEAN_SHARE * config.training.max_splats
     training = steps * (PIXEL_S * pixels + SPLAT_S * splats) / threads**0.5  # small kernels share little
     card = steps * (CARD_S + CARD_SPLAT_S * splats)
     dense = 0.0
     if config.points.dense != "none":
-        dense = n * DENSE_S * (config.points.dense_max_side / 256) ** 2 * config.points.dense_partners / 4 / threads
-    memory = BASE_BYTES + config.training.max_splats * SPLAT_BYTES
+        small = np.minimum(1.0, config.points.dense_max_side / sizes.max(axis=1))
+        swept = min(MOST_PIXELS, float((sizes.prod(axis=1) * small**2).sum()))
+        dense = swept / DENSE_PIXELS * DENSE_S * config.points.dense_partners / 4 / threads
+        memory += swept * DENSE_BYTES
     return Forecast(pairs, exhaustive, structure / threads, training + dense, card + dense, memory, threads)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from graphgs.points.config import PointsConfig
 from graphgs.points.dense_cloud import DenseCloud
 from graphgs.points.partners import sweep_partners
-from graphgs.points.swept_view import SmallView
+from graphgs.points.swept_view import AGREEING, SmallView
 from graphgs.progress import Reporter
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.scene.views import Views
@@ -37,14 +37,14 @@ def dense_cloud(
     The same points for any number of threads. Empty where the photos share too little."""
     if config.dense == "none":
         return DenseCloud.empty()
-    training = [int(i) for i in np.flatnonzero(~views.is_test)]
     partners = sweep_partners(reconstruction, ~views.is_test, config.dense_partners)
     ranges = _depth_ranges(reconstruction)
-    factor = _factor(views.sizes[training], config.dense_max_side)
-    sweepable = [i for i in training if len(partners[i]) and ranges[i] is not None]
-    most = -(-MOST_POINTS // max(1, len(training)))
-    with _workers(threads, reporter, total=len(training) + 2 * len(sweepable)) as work:
-        small = work(lambda i: SmallView.read(views, i, factor), training)
+    sweepable = [i for i in range(len(partners)) if len(partners[i]) >= AGREEING and ranges[i] is not None]
+    needed = sorted({i for k in sweepable for i in (k, *partners[k].tolist())})
+    factors = dict(zip(needed, _factors(views.sizes[np.array(needed, int)], config.dense_max_side), strict=True))
+    most = -(-MOST_POINTS // max(1, len(sweepable)))
+    with _workers(threads, reporter, total=len(needed) + 2 * len(sweepable)) as work:
+        small = work(lambda i: SmallView.read(views, i, factors[i]), needed)
         swept = work(lambda i: small[i].swept([small[j] for j in partners[i]], ranges[i]), sweepable)
         parts = work(
             lambda i: swept[i].agreed([swept[j] for j in partners[i] if j in swept], most=most, seed=i), sweepable
@@ -52,15 +52,17 @@ def dense_cloud(
     reporter.event("dense", points=sum(len(part[0]) for part in parts.values()), photos=len(sweepable))
     if not parts:
         return DenseCloud.empty()
-    found_in = np.repeat(sweepable, [len(part[0]) for part in parts.values()])
-    return DenseCloud(*map(np.concatenate, zip(*parts.values(), strict=True)), found_in, pixel=1.0 / factor)
+    found = {"views": np.array(sweepable), "pixels": np.array([1.0 / factors[i] for i in sweepable])}
+    counts = [len(part[0]) for part in parts.values()]
+    found = {name: np.repeat(values, counts) for name, values in found.items()}
+    return DenseCloud(*map(np.concatenate, zip(*parts.values(), strict=True)), **found)
 
 
-def _factor(sizes: np.ndarray, longest: int) -> float:
-    """By which photos of these sizes [N, 2] are reduced."""
-    by_side = longest / max(1, int(sizes.max(initial=1)))
-    by_memory = np.sqrt(MOST_PIXELS / max(1.0, float(sizes.prod(axis=1).sum())))
-    return float(min(1.0, by_side, by_memory))
+def _factors(sizes: np.ndarray, longest: int) -> list[float]:
+    """By which photos of these sizes [N, 2] are reduced, one for each."""
+    by_side = np.minimum(1.0, longest / sizes.max(axis=1, initial=1))
+    by_memory = np.sqrt(MOST_PIXELS / max(1.0, float((sizes.prod(axis=1) * by_side**2).sum())))
+    return (by_side * min(1.0, by_memory)).tolist()
 
 
 def _depth_ranges(reconstruction: Reconstruction) -> list[tuple[float, float] | None]:

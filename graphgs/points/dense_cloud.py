@@ -1,5 +1,6 @@
 """Points on surfaces that several photos agree on."""
 
+import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,11 +15,11 @@ class DenseCloud:
     colors: np.ndarray  # [D, 3] uint8 RGB
     track_lengths: np.ndarray  # [D] int, photos that agree
     views: np.ndarray  # [D] int, the view that each was found in, at the middle of a pixel
-    pixel: float  # side of the pixels compared, in pixels of the training images
+    pixels: np.ndarray  # [D] side of the pixels compared, in pixels of that view
 
     @staticmethod
     def empty() -> "DenseCloud":
-        return DenseCloud(np.zeros((0, 3)), np.zeros((0, 3), np.uint8), np.zeros(0, int), np.zeros(0, int), 1.0)
+        return DenseCloud(np.zeros((0, 3)), np.zeros((0, 3), np.uint8), np.zeros(0, int), np.zeros(0, int), np.zeros(0))
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -28,18 +29,14 @@ class DenseCloud:
         number = np.full(max(rows.max(initial=-1), self.views.max(initial=-1)) + 1, -1)
         number[rows] = np.arange(len(rows))
         kept = number[self.views] >= 0
-        fields = (self.positions, self.colors, self.track_lengths)
-        return DenseCloud(*(field[kept] for field in fields), number[self.views[kept]], self.pixel)
+        fields = (self.positions, self.colors, self.track_lengths, number[self.views], self.pixels)
+        return DenseCloud(*(field[kept] for field in fields))
 
     def save(self, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        np.savez(
-            folder / "dense.npz", positions=self.positions, colors=self.colors,
-            track_lengths=self.track_lengths, views=self.views, pixel=self.pixel,
-        )  # fmt: skip
+        np.savez(folder / "dense.npz", **{f.name: getattr(self, f.name) for f in dataclasses.fields(self)})
 
     @staticmethod
     def load(folder: Path) -> "DenseCloud":
         with np.load(folder / "dense.npz", allow_pickle=False) as arrays:
-            fields = dict(arrays)
-        return DenseCloud(**{**fields, "pixel": float(fields["pixel"])})
+            return DenseCloud(**dict(arrays))

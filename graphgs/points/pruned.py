@@ -1,4 +1,4 @@
-"""The initial points of a scene, and what became of the reconstruction's."""
+"""The initial points of a scene, and what became of those they were made from."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class PrunedPoints:
-    """M points to start Gaussians from, made from N reconstructed ones."""
+    """M points to start Gaussians from, made from N reconstructed and dense ones."""
 
     positions: np.ndarray  # [M, 3] world
     colors: np.ndarray  # [M, 3] RGB, uint8 or float in 0..1 as the input was

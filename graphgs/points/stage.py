@@ -22,7 +22,8 @@ def initial_points(
 ) -> PrunedPoints:
     """The points to start training from. Raises DataError when the reconstruction has none.
 
-    Dense points join until there are target / fraction, so that the octree keeps the share that GraphGS keeps."""
+    Dense points join until there are target / fraction, so that the octree keeps the share that GraphGS keeps; where that
+    many are reconstructed, none join."""
     count = len(reconstruction.points)
     if count == 0:
         raise DataError(
@@ -61,6 +62,6 @@ def _joined(
     return (
         np.concatenate([reconstruction.points, dense.positions[drawn]]),
         np.concatenate([reconstruction.colors, dense.colors[drawn]]),
-        np.concatenate([np.maximum(reconstruction.errors, 0.0), np.full(len(drawn), 0.5 * dense.pixel)]),
+        np.concatenate([np.maximum(reconstruction.errors, 0.0), 0.5 * dense.pixels[drawn]]),
         np.concatenate([reconstruction.track_lengths, dense.track_lengths[drawn]]),
     )  # COLMAP writes an error of -1 where it never measured one

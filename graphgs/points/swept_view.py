@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from graphgs.points.plane_sweep import PosedImage, sweep
+from graphgs.points.plane_sweep import WINDOW, PosedImage, sweep
 from graphgs.scene.views import Views
 
 AGREEING = 2  # partners that must find the same surface
@@ -36,7 +36,10 @@ class SmallView:
     def swept(self, partners: list["SmallView"], depths: tuple[float, float]) -> "SweptView":
         """With the surfaces that look alike in the partners, between two depths (camera z)."""
         inverse = sweep(self.posed, [partner.posed for partner in partners], depths)
-        return SweptView(self, inverse if self.mask is None else np.where(self.mask, inverse, np.float32(0.0)))
+        if self.mask is not None:  # whole patches: the edge of what is masked looks alike in all photos
+            whole = cv2.erode(self.mask.astype(np.uint8), np.ones((WINDOW, WINDOW), np.uint8)) > 0
+            inverse = np.where(whole, inverse, np.float32(0.0))
+        return SweptView(self, inverse)
 
 
 @dataclass(frozen=True)

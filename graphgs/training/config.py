@@ -64,7 +64,7 @@ class TrainConfig:
 
     # Where nothing can be seen (docs/decisions/0025-floaters.md)
     near_fraction: float = 0.2
-    """Ours: near plane of every render, in depths at which the closest views begin (by the sparse points)."""
+    """Ours: near plane of every render, in depths at which the closest views begin (by the initial points)."""
     prune_near: bool = False
     """Remove Gaussians nearer to a training camera than `near_fraction` of the depth at which its own view begins."""
     prune_unconfirmed: bool = False
@@ -135,7 +135,7 @@ class TrainConfig:
 
     # Real-world nuisances (docs/decisions/0028-sky-and-passers-by.md)
     sky: Literal["none", "sphere"] = "none"
-    """sphere: start with Gaussians on a far sphere, too, wherever a photo looks past all sparse points."""
+    """sphere: start with Gaussians on a far sphere, too, wherever a photo looks past all initial points."""
     sky_points: int = 2000
     """On the whole sphere; what is seen of it is kept."""
     robust_share: float = 0.0

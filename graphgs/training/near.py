@@ -1,4 +1,4 @@
-"""How near to a camera a scene begins, from the sparse points in its view."""
+"""How near to a camera a scene begins, from the initial points in its view."""
 
 import numpy as np
 
@@ -12,7 +12,7 @@ CLOSEST_VIEWS = 0.05  # share of views that may begin nearer than the scene does
 
 def near_depths(
     views: Views,
-    positions: np.ndarray,  # [P, 3] sparse points, world
+    positions: np.ndarray,  # [P, 3] initial points, world
 ) -> np.ndarray:
     """[N] camera z at which each training view begins, world units; NaN for held-out views, which decide nothing in
     training, and for views of too few points. Points hidden behind others count too: they are never the nearest."""

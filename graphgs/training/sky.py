@@ -9,7 +9,7 @@ from graphgs.scene.views import ImageCache, Views
 
 RADIUS = 20.0  # scene extents; and at least twice as far as nearly all points
 FAR_QUANTILE = 0.99
-CELLS = (16, 9)  # of an image, columns and rows: a cell with a sparse point shows no sky
+CELLS = (16, 9)  # of an image, columns and rows: a cell with an initial point shows no sky
 LEAST_EMPTY = 0.5  # share of the views of a direction in which its cell must hold no point
 _GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 
@@ -74,7 +74,7 @@ def _project(views: Views, i: int, positions: np.ndarray) -> tuple[np.ndarray, n
 
 
 def _near_points(pixels: np.ndarray, points: np.ndarray, size: np.ndarray) -> np.ndarray:
-    """[P] bool: whether a sparse point lies in the cell of a pixel, or in one beside it."""
+    """[P] bool: whether an initial point lies in the cell of a pixel, or in one beside it."""
     columns, rows = CELLS
     occupied = np.zeros((rows + 2, columns + 2), dtype=bool)
     x, y = (points * CELLS / size).astype(np.int64).T

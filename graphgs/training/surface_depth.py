@@ -35,8 +35,9 @@ class SurfaceDepth:
                 self._known[int(i)] = index, torch.log(depth)
 
     def weight(self, step: int) -> float:
-        """Of the loss; falls exponentially from the first step to the last."""
-        return self._config.lambda_depth * FINAL_SHARE ** (step / max(1, self._config.steps - 1))
+        """Of the loss; falls exponentially from the first step on whole photos to the last."""
+        first = round(self._config.warm_up_fraction * self._config.steps)
+        return self._config.lambda_depth * FINAL_SHARE ** ((step - first) / max(1, self._config.steps - 1 - first))
 
     def loss(self, view: int, out: RenderOutput) -> Tensor | None:
         """Mean difference of the logs of rendered and known depth; None for a view without known surfaces.

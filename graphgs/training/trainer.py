@@ -99,14 +99,14 @@ class Trainer:
         self.between_steps = False
         step = self.done
         try:
-            loss, out = self._gradients(step)
+            loss, photometric, out = self._gradients(step)
         except IntersectionOverflow:  # a GPU learns late that a view met more tiles than any before; now there is room
             self.parameters.clear_gradients()
-            loss, out = self._gradients(step)
+            loss, photometric, out = self._gradients(step)
         self.strategy.after_backward(step, out)
         self.parameters.step(step, self._rates(step), rows=self._updated_rows(out))
         if isinstance(self._sampler, LossSampler):
-            self._sampler.note(self._sampler.view(step), step, loss)
+            self._sampler.note(self._sampler.view(step), step, photometric)
         for fit in self._fits.values():
             fit.step(self.view_of_step(step), step, self._caution)
         self.strategy.after_step(step, self.parameters)
@@ -116,8 +116,8 @@ class Trainer:
         self.between_steps = True
         return loss
 
-    def _gradients(self, step: int) -> tuple[Tensor, RenderOutput]:
-        """Render, compare, differentiate: the loss, detached, and the render it came from."""
+    def _gradients(self, step: int) -> tuple[Tensor, Tensor, RenderOutput]:
+        """Render, compare, differentiate: the loss and its photometric part, detached, and the render behind them."""
         view, photo, mask = self._images.of_step(step)
         factor = reduction_of(*(int(side) for side in self.views.sizes[view]), self.schedule.reduction(step))
         photo, mask = reduce_photo(photo, mask, factor)
@@ -128,7 +128,8 @@ class Trainer:
         colors = out.colors if self._exposure is None else self._exposure.apply(view, out.colors)
         if self.schedule.leaves_out_misfits(step):
             mask = fitting_pixels(colors, photo, mask, share=self.config.robust_share)
-        loss = photometric_loss(colors, photo, mask, ssim_weight=self.config.ssim_weight)
+        photometric = photometric_loss(colors, photo, mask, ssim_weight=self.config.ssim_weight)
+        loss = photometric
         if self._exposure is not None:
             loss = loss + self._exposure.penalty()
         if self._consistency is not None and self.schedule.has_consistency(step):
@@ -153,7 +154,7 @@ class Trainer:
             loss = loss + penalty
         self.strategy.before_backward(step, out)
         loss.backward()
-        return loss.detach(), out
+        return loss.detach(), photometric.detach(), out
 
     def splats(self) -> Splats:
         """The Gaussians as they are, detached."""

@@ -60,7 +60,7 @@ def scene(tmp_path) -> Scene:
     dense = DenseCloud(
         np.repeat(model.points, 3, axis=0) + np.random.default_rng(0).normal(0, 0.1, (3 * count, 3)),
         np.repeat(model.colors, 3, axis=0),
-        np.full(3 * count, 3), np.ones(3 * count, int), 1.0,
+        np.full(3 * count, 3), np.ones(3 * count, int), np.ones(3 * count),
     )  # fmt: skip
     return Scene("fox", tiny.views, tiny.graph, model, {"octree": octree}, dense, 1.5, depths)
 

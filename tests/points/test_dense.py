@@ -42,7 +42,7 @@ def test_smaller_photos_give_fewer_points(tmp_path):
     walls = textured_walls(tmp_path)
     whole, half = _cloud(walls), _cloud(walls, dense_max_side=48)
     assert len(half) < 0.4 * len(whole)
-    assert (whole.pixel, half.pixel) == (1.0, 2.0)
+    assert (set(whole.pixels), set(half.pixels)) == ({1.0}, {2.0})
     assert np.median(off_the_walls(half.positions)) < 0.04
 
 
@@ -68,6 +68,35 @@ def test_masked_pixels_have_no_points(tmp_path):
     assert 0 < len(half) < 0.6 * len(whole)
 
 
+def test_the_edge_of_a_mask_has_no_points(tmp_path):
+    """A dark bonnet in all photos: its edge looks alike everywhere, and lies on no surface."""
+    walls = textured_walls(tmp_path)
+    mask = np.full((HEIGHT, WIDTH), 255, np.uint8)
+    mask[-20:] = 0
+    for name in walls.views.images:
+        photo = cv2.imread(str(tmp_path / name))
+        photo[-20:] = 20
+        cv2.imwrite(str(tmp_path / name), photo)
+    cv2.imwrite(str(tmp_path / "mask.png"), mask)
+    masked = dataclasses.replace(walls, views=dataclasses.replace(walls.views, masks=("mask.png",) * 7))
+    cloud = _cloud(masked)
+    assert len(cloud) > 1000
+    assert (off_the_walls(cloud.positions) < 0.1).mean() > 0.98
+
+
+def test_photos_of_other_sizes_are_reduced_by_their_own_factor(tmp_path):
+    walls = textured_walls(tmp_path)
+    large = cv2.resize(cv2.imread(str(tmp_path / "3.png")), (2 * WIDTH, 2 * HEIGHT), interpolation=cv2.INTER_CUBIC)
+    cv2.imwrite(str(tmp_path / "3.png"), large)
+    sizes, Ks = walls.views.sizes.copy(), walls.views.Ks.copy()
+    sizes[3] *= 2
+    Ks[3, :2] *= 2
+    mixed = dataclasses.replace(walls, views=dataclasses.replace(walls.views, sizes=sizes, Ks=Ks))
+    cloud = _cloud(mixed, dense_max_side=WIDTH)
+    assert [set(cloud.pixels[cloud.views == i]) for i in (2, 3)] == [{1.0}, {2.0}]
+    assert np.median(off_the_walls(cloud.positions)) < 0.02
+
+
 def test_any_number_of_threads_gives_the_same(tmp_path):
     walls = textured_walls(tmp_path)
     one, three = _cloud(walls), _cloud(walls, threads=3)
@@ -84,7 +113,7 @@ def test_each_photo_gives_at_most_its_share(tmp_path, monkeypatch):
 def test_very_many_photos_are_made_smaller(tmp_path, monkeypatch):
     walls = textured_walls(tmp_path)
     monkeypatch.setattr(dense, "MOST_PIXELS", 6 * WIDTH * HEIGHT / 4)
-    assert _cloud(walls).pixel == 2.0
+    assert set(_cloud(walls).pixels) == {2.0}
 
 
 def test_saved_and_loaded(tmp_path):
@@ -100,6 +129,14 @@ def test_nothing_to_agree_with_gives_an_empty_cloud(tmp_path):
     few = dataclasses.replace(walls.views, is_test=np.array([True] * 5 + [False] * 2))
     assert len(_cloud(dataclasses.replace(walls, views=few))) == 0
     assert len(_cloud(walls, dense="none")) == 0
+
+
+def test_photos_from_one_place_are_no_partners(tmp_path):
+    """They look alike on every plane. Here three are from one place, and were the three that share most."""
+    walls = textured_walls(tmp_path, cameras=5, is_test=(), along=(-0.01, 0.0, 0.01, -0.6, 0.6))
+    partners = sweep_partners(walls.model, np.ones(5, bool), 4)
+    assert [set(chosen) for chosen in partners[:3]] == [{3, 4}] * 3
+    assert np.median(off_the_walls(_cloud(walls).positions)) < 0.02
 
 
 def test_partners_share_points_and_are_training_photos(tmp_path):

@@ -38,7 +38,9 @@ def _reconstruction(count: int) -> Reconstruction:
 def _dense(count: int) -> DenseCloud:
     rng = np.random.default_rng(1)
     colors = rng.integers(0, 256, (count, 3)).astype(np.uint8)
-    return DenseCloud(rng.normal(size=(count, 3)), colors, rng.integers(3, 6, count), np.zeros(count, int), 2.0)
+    return DenseCloud(
+        rng.normal(size=(count, 3)), colors, rng.integers(3, 6, count), np.zeros(count, int), np.full(count, 2.0)
+    )
 
 
 def _run(config: PointsConfig, count: int, *, dense: int = 0, max_splats: int = 10_000, reporter=None):

@@ -30,12 +30,14 @@ def textured_walls(
     cameras: int = 7,
     is_test: tuple[int, ...] = (0,),
     gains: tuple[float, ...] = (),  # brightness of each photo
+    along: tuple[float, ...] = (),  # x of each camera; default: evenly from -1.2 to 1.2
 ) -> TexturedWalls:
     """Cameras side by side, looking at the corner; 60 points of the walls with their tracks."""
     rng = np.random.default_rng(0)
     waves = rng.normal(0.0, 9.0, (40, 3)), rng.uniform(0.0, 2 * np.pi, 40)
     camera = Camera.pinhole(WIDTH, HEIGHT, FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2)
-    centers = np.stack([np.linspace(-1.2, 1.2, cameras), 0.1 * np.arange(cameras) % 0.3, np.zeros(cameras)], axis=1)
+    x = np.array(along) if along else np.linspace(-1.2, 1.2, cameras)
+    centers = np.stack([x, np.zeros(cameras) if along else 0.1 * np.arange(cameras) % 0.3, np.zeros(cameras)], axis=1)
     turns = np.stack([_about_y(-0.1 * x) for x in centers[:, 0]])
     translations = -np.einsum("nij,nj->ni", turns, centers)
     x, y = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)

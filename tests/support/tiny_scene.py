@@ -79,4 +79,5 @@ def tiny_surfaces(scene: TinyScene) -> DenseCloud:
     count, views = len(scene.truth), len(scene.views.names)
     positions = np.tile(scene.truth.means.numpy().astype(np.float64), (views, 1))
     colors = np.full((len(positions), 3), 128, np.uint8)
-    return DenseCloud(positions, colors, np.full(len(positions), 3), np.repeat(np.arange(views), count), 1.0)
+    rows = len(positions)
+    return DenseCloud(positions, colors, np.full(rows, 3), np.repeat(np.arange(views), count), np.ones(rows))

@@ -24,7 +24,7 @@ def _at(scene, view: int, pixels: list[tuple[int, int]], depths: list[float]) ->
     viewmat = scene.views.viewmats[view]
     world = (rays * np.array(depths)[:, None] - viewmat[:3, 3]) @ viewmat[:3, :3]
     count = len(rows)
-    return DenseCloud(world, np.zeros((count, 3), np.uint8), np.full(count, 3), np.full(count, view), 1.0)
+    return DenseCloud(world, np.zeros((count, 3), np.uint8), np.full(count, 3), np.full(count, view), np.ones(count))
 
 
 def _output(depths: torch.Tensor, alphas: torch.Tensor) -> RenderOutput:
@@ -61,7 +61,7 @@ def test_exact_depths_cost_nothing_and_empty_pixels_no_nan(tmp_path):
     nothing = torch.zeros(1, HEIGHT, WIDTH, 1, requires_grad=True)
     loss = SurfaceDepth(CONFIG, scene.views, exact, device="cpu").loss(1, _output(nothing, torch.zeros_like(nothing)))
     loss.backward()
-    assert float(loss) == 0.0
+    assert loss.item() == 0.0
     assert torch.equal(nothing.grad, torch.zeros_like(nothing))
 
 
