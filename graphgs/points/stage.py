@@ -22,8 +22,8 @@ def initial_points(
 ) -> PrunedPoints:
     """The points to start training from. Raises DataError when the reconstruction has none.
 
-    Dense points join until there are target / fraction, so that the octree keeps the share that GraphGS keeps; where that
-    many are reconstructed, none join."""
+    Dense points join until there are target / fraction, so that the octree keeps the share that GraphGS keeps; where
+    so many are reconstructed, none join."""
     count = len(reconstruction.points)
     if count == 0:
         raise DataError(
