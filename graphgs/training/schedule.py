@@ -59,7 +59,7 @@ class Schedule:
 
     @property
     def settled_from(self) -> int:
-        """First step from which only rates and the weight of depths change: losses before and after it do not compare."""
+        """First step from which only rates and the depths' weight change: losses before and after it do not compare."""
         rounds = self._relocate_until if self._config.strategy == "mcmc" else self.densify_until
         parts = [self._warm_up_until, rounds, self._config.sh_degree * self._sh_interval]
         if self._config.consistency != "none" and self._config.lambda_consistency > 0.0:
