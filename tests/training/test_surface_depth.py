@@ -33,22 +33,22 @@ def _output(depths: torch.Tensor, alphas: torch.Tensor) -> RenderOutput:
     return RenderOutput(**(dict.fromkeys(names) | {"depths": depths, "alphas": alphas}))
 
 
-def test_loss_is_the_mean_log_ratio_and_its_gradient(tmp_path):
+def test_loss_is_the_mean_log_ratio_and_its_gradient(tmp_path, device):
     scene = tiny_scene(tmp_path)
     pixels = [(3, 5), (10, 20), (20, 30), (27, 39)]
-    term = SurfaceDepth(CONFIG, scene.views, _at(scene, 1, pixels, [2.0, 2.0, 2.0, 2.0]), device="cpu")
+    term = SurfaceDepth(CONFIG, scene.views, _at(scene, 1, pixels, [2.0, 2.0, 2.0, 2.0]), device=device)
     depths = torch.full((1, HEIGHT, WIDTH, 1), 9.0)
-    alphas = torch.ones(1, HEIGHT, WIDTH, 1)
+    alphas = torch.ones(1, HEIGHT, WIDTH, 1, device=device)
     for (row, column), depth in zip(pixels, (2.2, 1.9, 8.0, 2.4), strict=True):
         depths[0, row, column] = depth
     alphas[0, 27, 39] = 0.3  # hardly covered
-    depths.requires_grad_()
+    depths = depths.to(device).requires_grad_()
     loss = term.loss(1, _output(depths, alphas))
     assert loss.item() == pytest.approx((np.log(1.1) - np.log(0.95) + MOST_ERROR) / 4, rel=1e-5)
     loss.backward()
-    expected = torch.zeros_like(depths)
+    expected = torch.zeros(1, HEIGHT, WIDTH, 1)
     expected[0, 3, 5], expected[0, 10, 20] = 1 / 2.2 / 4, -1 / 1.9 / 4
-    assert torch.allclose(depths.grad, expected, rtol=1e-5)
+    assert torch.allclose(depths.grad.cpu(), expected, rtol=1e-5)
 
 
 def test_exact_depths_cost_nothing_and_empty_pixels_no_nan(tmp_path):
