@@ -50,6 +50,14 @@ class Forecast:
         yield f"  training  up to {cpu} on the CPU, {card} on a card like an H100"
         yield f"  memory    up to {self.memory_bytes / 2**30:.1f} GiB"
 
+    def line(self, device: str) -> str:
+        """In one line, for the device that will train."""
+        training = self.training_s if device == "cpu" else self.card_s
+        return (
+            f"forecast, within a factor of two: {self.pairs} pairs, poses {_duration(self.structure_s)}, "
+            f"training up to {_duration(training)}, memory up to {self.memory_bytes / 2**30:.1f} GiB"
+        )
+
 
 def forecast(
     config: Config,

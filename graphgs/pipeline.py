@@ -16,6 +16,7 @@ from graphgs.config import Config
 from graphgs.console import RunReporter
 from graphgs.errors import PartialError, UsageError
 from graphgs.evaluation.evaluate import Evaluation, evaluate
+from graphgs.forecast import forecast
 from graphgs.graph import CameraGraph
 from graphgs.graph.build import build_camera_graph
 from graphgs.points import DenseCloud, PrunedPoints, dense_cloud, initial_points
@@ -185,6 +186,9 @@ def find_poses(run: Run) -> Posed:
     """Photos in, posed views and their graph out. Raises DataError where the photos cannot work."""
     config, reporter, threads = run.config, run.reporter, run.threads
     photos = _photos(run)
+    if run.workspace.find(MAPPING) is None:
+        sizes = np.array([(photo.width, photo.height) for photo in photos.photos]).reshape(-1, 2)
+        reporter.info(forecast(config, sizes, threads=threads).line(run.device))
     given = photos.given is not None and config.structure.poses != "prior"
     if given and not needs_matching(config.structure, photos):
         structure = run.stage(

@@ -30,3 +30,11 @@ def test_more_of_anything_costs_more():
 
 def test_few_photos_have_no_more_pairs_than_there_are():
     assert forecast(settings(Options()), PHONE[:3], threads=2).pairs == 3
+
+
+def test_one_line_says_it_for_the_device():
+    found = forecast(settings(Options(preset="preview", max_side=480, steps=2000)), PHONE, threads=2)
+    on_cpu, on_card = found.line("cpu"), found.line("cuda:0")
+    assert f"{found.pairs} pairs" in on_cpu
+    assert on_cpu != on_card
+    assert found.card_s < found.training_s
