@@ -56,26 +56,18 @@ def write_report(
     pages = {setting: f"results-{_slug(*setting)}.md" for setting in others}
     links = [f"[{device}, {steps} steps]({page})" for (device, steps), page in pages.items()]
     table = Table(rows, first)
-    parts = [
-        _introduction(table),
-        f"Also measured: {', '.join(links)}." if links else "",
-        *_comparisons(table, folder, ""),
-        sections.noise(table, folder),
-        sections.poses(table),
-        sections.exposure(table),
-        sections.passers_by(table),
-        sections.rates(table),
-        _pictures(pictures, folder),
-    ]
-    _write(docs / "results.md", parts)
+    also = f"Also measured: {', '.join(links)}." if links else ""
+    _write(
+        docs / "results.md", [_introduction(table), also, *_sections(table, folder, ""), _pictures(pictures, folder)]
+    )
     for setting, page in pages.items():
         table = Table(rows, setting)
-        _write(docs / page, [_introduction(table), *_comparisons(table, folder, f"-{_slug(*setting)}")])
+        _write(docs / page, [_introduction(table), *_sections(table, folder, f"-{_slug(*setting)}")])
     return docs / "results.md"
 
 
-def _comparisons(table: Table, folder: Path, mark: str) -> list[str]:
-    """What any set of measurements can be asked; `mark` tells its plots from others."""
+def _sections(table: Table, folder: Path, mark: str) -> list[str]:
+    """What a set of measurements can be asked; `mark` tells its plots from others."""
     return [
         _headline(table, folder, mark),
         _ablations(table, folder, mark),
@@ -83,6 +75,11 @@ def _comparisons(table: Table, folder: Path, mark: str) -> list[str]:
         sections.octree(table),
         sections.fewer_steps(table),
         sections.sparse(table),
+        sections.noise(table, folder, mark),
+        sections.poses(table),
+        sections.exposure(table),
+        sections.passers_by(table),
+        sections.rates(table),
     ]
 
 

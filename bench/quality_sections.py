@@ -108,18 +108,24 @@ def sparse(table: Table) -> str:
     ])  # fmt: skip
 
 
-def noise(table: Table, folder: Path) -> str:
+def noise(table: Table, folder: Path, mark: str) -> str:
     ladder = ((0.0, "plain"), (0.1, "noise 0.1"), (0.2, "noise 0.2"), (0.3, "noise 0.3"))
     body, series = [], {}
     for name in table.sets:
-        if table.has("noise 0.3", name):
+        if any(table.has(case, name) for case in ("noise 0.3", "noise 0.3, pipeline")):
             found = [(x, table.figure(case, name, "psnr")) for x, case in ladder]
             pipeline = [number(table.figure(case, name, "psnr")) for case in ("full", "noise 0.3, pipeline")]
             body.append([name, *(number(figure) for _, figure in found), *pipeline])
-            series[name] = [(x, figure.mean) for x, figure in found if figure is not None]
+            line = [(x, figure.mean) for x, figure in found if figure is not None]
+            if len(line) > 1:
+                series[name] = line
     if not body:
         return ""
-    (folder / "noise.svg").write_text(plots.lines("plain trainer on noisy poses", "rad and spacings", "dB", series))
+    picture = []
+    if series:
+        plot = plots.lines("plain trainer on noisy poses", "rad and spacings", "dB", series)
+        (folder / f"noise{mark}.svg").write_text(plot)
+        picture = ["", f"![PSNR of the plain trainer on noisy poses](pictures/noise{mark}.svg)"]
     return "\n".join([
         "## Noisy poses given to the plain trainer",
         "PSNR in dB. Every pose, held-out ones too, is turned by up to so many rad and moved along each axis by up to "
@@ -127,8 +133,7 @@ def noise(table: Table, folder: Path) -> str:
         "only. The paper, with noise of 0.3: 12.68 dB for 3DGS, 28.53 for GraphGS.",
         "",
         markdown(["set", *(f"{x:g}" for x, _ in ladder), "pipeline, none", "pipeline, 0.3"], body),
-        "",
-        "![PSNR of the plain trainer on noisy poses](pictures/noise.svg)",
+        *picture,
     ])  # fmt: skip
 
 
