@@ -241,7 +241,9 @@ def make_scene(run: Run, posed: Posed) -> tuple[Trained, Evaluation]:
     dense = run.stage(
         DENSE,
         [MAPPING, VIEWS],
-        lambda folder, scratch: dense_cloud(config.points, model, posed.views, reporter=reporter, threads=threads),
+        lambda folder, scratch: dense_cloud(
+            config.points, model, posed.views, reporter=reporter, threads=threads, scratch=scratch
+        ),
         DenseCloud.load,
     )
     points = run.stage(

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from itertools import pairwise
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 from graphgs.points.config import PointsConfig
 from graphgs.points.dense_cloud import DenseCloud
 from graphgs.points.partners import sweep_partners
-from graphgs.points.swept_view import AGREEING, SmallView
+from graphgs.points.swept_view import AGREEING, SmallView, SweptView
 from graphgs.progress import Reporter
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.scene.views import Views
@@ -30,6 +31,7 @@ def dense_cloud(
     *,
     reporter: Reporter,
     threads: int,
+    scratch: Path | None = None,  # depths found so far; a later call with the same arguments goes on from there
 ) -> DenseCloud:
     """Find surfaces in the training photos, reduced to at most `config.dense_max_side` px and to what memory holds.
     Held-out photos are not read.
@@ -45,7 +47,7 @@ def dense_cloud(
     most = -(-MOST_POINTS // max(1, len(sweepable)))
     with _workers(threads, reporter, total=len(needed) + 2 * len(sweepable)) as work:
         small = work(lambda i: SmallView.read(views, i, factors[i]), needed)
-        swept = work(lambda i: small[i].swept([small[j] for j in partners[i]], ranges[i]), sweepable)
+        swept = work(lambda i: _swept(small, i, partners[i], ranges[i], scratch), sweepable)
         parts = work(
             lambda i: swept[i].agreed([swept[j] for j in partners[i] if j in swept], most=most, seed=i), sweepable
         )
@@ -56,6 +58,21 @@ def dense_cloud(
     counts = [len(part[0]) for part in parts.values()]
     found = {name: np.repeat(values, counts) for name, values in found.items()}
     return DenseCloud(*map(np.concatenate, zip(*parts.values(), strict=True)), **found)
+
+
+def _swept(
+    small: dict[int, SmallView], i: int, partners: np.ndarray, depths: tuple[float, float], scratch: Path | None
+) -> SweptView:
+    """View i with its depths, which are kept in `scratch` once they are found."""
+    kept = None if scratch is None else scratch / f"{i:06d}.npy"
+    if kept is not None and kept.is_file():
+        return SweptView(small[i], np.load(kept, allow_pickle=False))
+    swept = small[i].swept([small[j] for j in partners], depths)
+    if kept is not None:
+        partial = kept.with_suffix(".partial.npy")
+        np.save(partial, swept.inverse)
+        partial.replace(kept)
+    return swept
 
 
 def _factors(sizes: np.ndarray, longest: int) -> list[float]:
@@ -99,8 +116,9 @@ def _workers(threads: int, reporter: Reporter, *, total: int) -> Iterator[Callab
         return results
 
     cv2.setNumThreads(1)
+    pool = ThreadPoolExecutor(threads)
     try:
-        with ThreadPoolExecutor(threads) as pool:
-            yield work
+        yield work
     finally:
+        pool.shutdown(cancel_futures=True)  # who interrupts does not wait for all views
         cv2.setNumThreads(opencv_threads)

@@ -8,6 +8,7 @@ import pytest
 
 from graphgs.points import DenseCloud, PointsConfig, dense, dense_cloud
 from graphgs.points.partners import sweep_partners
+from graphgs.points.swept_view import SmallView
 from graphgs.progress import Reporter
 from tests.support.textured_walls import HEIGHT, WIDTH, off_the_walls, textured_walls
 
@@ -114,6 +115,33 @@ def test_very_many_photos_are_made_smaller(tmp_path, monkeypatch):
     walls = textured_walls(tmp_path)
     monkeypatch.setattr(dense, "MOST_PIXELS", 6 * WIDTH * HEIGHT / 4)
     assert set(_cloud(walls).pixels) == {2.0}
+
+
+def test_an_interrupted_search_goes_on(tmp_path, monkeypatch):
+    walls, swept, searched = textured_walls(tmp_path), SmallView.swept, []
+    expected = _cloud(walls)
+
+    def interrupted(view, *rest):
+        searched.append(view)
+        if len(searched) == 4:
+            raise KeyboardInterrupt
+        return swept(view, *rest)
+
+    def search() -> DenseCloud:
+        return dense_cloud(
+            PointsConfig(), walls.model, walls.views, reporter=Reporter(), threads=1, scratch=tmp_path / "scratch"
+        )
+
+    (tmp_path / "scratch").mkdir()
+    monkeypatch.setattr(SmallView, "swept", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        search()
+    kept = len(list((tmp_path / "scratch").glob("*.npy")))
+    del searched[4:]
+    found = search()
+    assert 3 <= kept < 6
+    assert len(searched) - 4 == 6 - kept
+    assert np.array_equal(found.positions, expected.positions)
 
 
 def test_saved_and_loaded(tmp_path):
