@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 
 from bench.quality_cases import Case
-from bench.quality_scenes import Scene, every_point
+from bench.quality_scenes import OCTREE_SHARE, Scene, every_point
 from graphgs.config import preset
 from graphgs.graph import CameraGraph
-from graphgs.points import DenseCloud, PrunedPoints, dense_cloud, initial_points, keep_all
+from graphgs.points import DenseCloud, PrunedPoints, dense_cloud, initial_points, keep_all, prune_octree
 from graphgs.progress import Reporter
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.scene.views import Views
@@ -23,7 +23,7 @@ from tests.support.disturbed_poses import disturbed, noisy
 
 PREVIEW = preset("preview")
 WITHOUT_DENSE = ("sparse", "all", "octree", "random")  # initial points of the reconstruction alone
-JOINED_LIMIT = 20_000  # Gaussians, for the points that the octree is compared on: there is room for all of them
+JOINED = 30_000  # reconstructed and dense points that the octree is compared on
 DISTURBED_DEG, DISTURBED_SHIFT = 0.5, 0.01  # of a pose: turn, and shift in largest distances between cameras
 
 
@@ -88,12 +88,12 @@ def _points(case: Case, scene: Scene, model: Reconstruction, dense: DenseCloud) 
         return _drawn(every_point(model), len(scene.points["octree"].positions))
     config, max_splats = PREVIEW.points, case.training.get("max_splats", PREVIEW.training.max_splats)
     options = {"max_splats": max_splats, "reporter": Reporter(), "threads": 1}
-    if case.points.startswith("joined"):  # what the default gives the octree, of a smaller limit
-        config = dataclasses.replace(config, target=config.target_for(len(model.points), max_splats=JOINED_LIMIT))
-    if case.points in ("joined", "joined-random"):
-        every = dataclasses.replace(config, mode="none", target=round(config.target / config.fraction))
-        points = initial_points(every, model, dense, **options)
-        return points if case.points == "joined" else _drawn(points, config.target)
+    if case.points.startswith("joined"):  # the octree is given reconstructed and dense points alike
+        every = initial_points(dataclasses.replace(config, mode="none", target=JOINED), model, dense, **options)
+        target = round(OCTREE_SHARE * len(every.positions))
+        if case.points == "joined-octree":
+            return prune_octree(every.positions, every.colors, target=target, threads=1)
+        return every if case.points == "joined" else _drawn(every, target)
     return initial_points(config, model, dense, **options)
 
 

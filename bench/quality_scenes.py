@@ -32,7 +32,7 @@ from tests.support.disturbed_poses import noisy
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"  # real photo sets; they are not part of the project
 JPEG_QUALITY = 93  # without chroma subsampling: 43 dB, far above what is measured
 JPEG = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
-OCTREE_SHARE = 0.4  # of the reconstruction's points, where the octree is measured on them alone
+OCTREE_SHARE = 0.4  # of the points, where the octree is measured
 
 # Frozen. street: 26 stops, 2.8 m apart, which is every 4th frame of the default drive, by three cameras; drive: the
 # default, 36 frames 0.7 m apart by one camera.

@@ -10,20 +10,22 @@ class PointsConfig:
 
     dense: Literal["sweep", "none"] = "sweep"
     """Ours: add points on the surfaces that training photos agree on, found by plane sweep (decisions/0031)."""
-    dense_max_side: int = 256
+    dense_max_side: int = 192
     """Long side of the photos that are swept, px."""
     dense_partners: int = 4
     """Other photos that each is compared with."""
     mode: Literal["octree", "none"] = "octree"
-    """How more points than wanted become fewer; "none" keeps all reconstructed ones."""
+    """How more points than wanted become fewer; "none" keeps all reconstructed ones and draws dense ones at random."""
     fraction: float = 0.4
-    """Of the points to keep; GraphGS keeps 100,000 of 245,820."""
+    """Of what the octree is given that it keeps; GraphGS keeps 100,000 of 245,820."""
     minimum: int = 100_000
-    """No cloud is pruned below so many points, unless `fill_fraction` asks for it: few are a bad start."""
+    """No cloud is pruned below so many points, unless Gaussians need the room: few are a bad start."""
     fill_fraction: float = 0.6
-    """Of `training.max_splats` that the initial points take at most: densification places the rest (decisions/0031)."""
+    """Of `training.max_splats` that dense points fill up to: densification places the rest."""
+    most_fraction: float = 0.9
+    """Of `training.max_splats` that reconstructed points may take."""
     target: int | None = None
-    """Points wanted; None = the three above decide."""
+    """Points wanted; None = the four above decide."""
     tau: float | None = None
     """Merge octree nodes below this level of detail instead (see prune_octree)."""
 
@@ -37,4 +39,5 @@ class PointsConfig:
         """Points to start from, where `count` are reconstructed."""
         if self.target is not None:
             return self.target
-        return max(1, min(max(self.minimum, round(self.fraction * count)), round(self.fill_fraction * max_splats)))
+        room = max(self.fill_fraction * max_splats, min(count, self.most_fraction * max_splats))
+        return max(1, min(max(self.minimum, round(self.fraction * count)), round(room)))

@@ -28,9 +28,12 @@ class DenseCloud:
         """What was found in these views, which are then numbered 0, 1, ..."""
         number = np.full(max(rows.max(initial=-1), self.views.max(initial=-1)) + 1, -1)
         number[rows] = np.arange(len(rows))
-        kept = number[self.views] >= 0
-        fields = (self.positions, self.colors, self.track_lengths, number[self.views], self.pixels)
-        return DenseCloud(*(field[kept] for field in fields))
+        kept = self.rows(np.flatnonzero(number[self.views] >= 0))
+        return dataclasses.replace(kept, views=number[kept.views])
+
+    def rows(self, chosen: np.ndarray) -> "DenseCloud":
+        """These points alone."""
+        return DenseCloud(*(getattr(self, f.name)[chosen] for f in dataclasses.fields(self)))
 
     def save(self, folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)

@@ -154,7 +154,7 @@ def test_altered_inputs(scene, tmp_path, monkeypatch):
     assert len(inputs(points="all").points.positions) == len(scene.model.points)
     assert len(inputs(points="sparse").points.positions) == len(scene.model.points)
     assert len(inputs().points.positions) == 4 * len(scene.model.points)  # as the limit of 20,000 is far
-    monkeypatch.setattr(quality_inputs, "JOINED_LIMIT", 100)
+    monkeypatch.setattr(quality_inputs, "JOINED", 150)
     for which, count in (("joined", 150), ("joined-octree", 60), ("joined-random", 60)):
         assert len(inputs(points=which).points.positions) == count
 

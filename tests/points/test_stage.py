@@ -72,7 +72,9 @@ def test_how_many_points_are_kept(config, expected):
     [
         (PointsConfig(), 10_000, 6000),  # of 1000 reconstructed and 5000 dense points
         (PointsConfig(), 5_000, 3000),
-        (PointsConfig(fill_fraction=0.1), 1_000, 100),
+        (PointsConfig(), 1_500, 1000),  # what is reconstructed stays
+        (PointsConfig(), 1_000, 900),  # but for some room
+        (PointsConfig(most_fraction=0.1, fill_fraction=0.1), 1_000, 100),
         (PointsConfig(minimum=900), 10_000, 900),
         (PointsConfig(target=2000), 10_000, 2000),
         (PointsConfig(mode="none"), 5_000, 3000),
@@ -86,11 +88,30 @@ def test_dense_points_fill_up(config, max_splats, expected):
     assert len(points.positions) == expected
 
 
-def test_the_octree_keeps_its_share_of_what_it_is_given():
+def test_reconstructed_points_stay_and_the_octree_keeps_its_share_of_the_dense_ones():
     reporter = Events()
     points = _run(PointsConfig(target=800, fraction=0.4), 500, dense=5000, reporter=reporter)
-    assert (len(points.positions), len(points.representative)) == (800, 2000)
-    assert reporter.events[0][1]["dense"] == 1500
+    assert len(points.positions) == 800
+    assert reporter.events[0][1]["dense"] == 750  # 300 are 40 % of them
+    reconstructed = _reconstruction(500)
+    stays = points.representative[:500]
+    assert len(np.unique(stays)) == 500
+    assert np.allclose(points.positions[stays], reconstructed.points)
+    assert set(points.representative) == set(range(800))
+    assert points.coverage > 0
+
+
+def test_a_lone_far_point_is_no_wall():
+    """Sizes are limited by a coarse cell, with dense points or without."""
+    for dense in (0, 500):
+        reconstruction = _reconstruction(300)
+        reconstruction.points[7] = [0.0, 0.0, 60.0]
+        points = initial_points(
+            PointsConfig(), reconstruction, _dense(dense), max_splats=1000, reporter=Reporter(), threads=1
+        )
+        lone = points.representative[7]
+        neighbour = np.sort(np.linalg.norm(points.positions - points.positions[lone], axis=1))[1]
+        assert points.scales[lone] < 0.7 * neighbour
 
 
 def test_a_cloud_without_points_is_explained():
