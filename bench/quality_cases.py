@@ -20,8 +20,12 @@ SYNTHETIC_SETS = ("drive", "street", "street-own")
 PLAIN = {"consistency": "none", "sampling": "uniform"}  # together with points="all": what the method adds is off
 
 # What training starts from: the pipeline's points, with dense ones or without ("sparse"); the reconstruction's alone,
-# all or 40 % of them; or reconstructed and dense ones together ("joined"), all or 40 % of them.
-Points = Literal["pipeline", "sparse", "all", "octree", "random", "joined", "joined-octree", "joined-random"]
+# all or 40 % of them; reconstructed and dense ones together, with room for more Gaussians ("joined") or without
+# ("filled"), all or 40 % of them.
+Points = Literal[
+    "pipeline", "sparse", "all", "octree", "random",
+    "joined", "joined-octree", "joined-random", "filled", "filled-octree",
+]  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -123,6 +127,8 @@ CASES = (
             ("joined, random", "as many of them, drawn at random", "joined-random"),
         )
     ),
+    Case("filled", "as many points as Gaussians are allowed", order=1.1, points="filled"),
+    Case("filled, octree", "40 % of them, pruned by the octree", order=1.1, points="filled-octree"),
     # Densification
     Case("mcmc", "densification by sampling (3DGS as MCMC)", {"strategy": "mcmc"}, order=1.4),
     Case("signed gradients", "gradients that may cancel over pixels (3DGS)", {"absgrad": False}, order=1.4),

@@ -88,12 +88,13 @@ def _points(case: Case, scene: Scene, model: Reconstruction, dense: DenseCloud) 
         return _drawn(every_point(model), len(scene.points["octree"].positions))
     config, max_splats = PREVIEW.points, case.training.get("max_splats", PREVIEW.training.max_splats)
     options = {"max_splats": max_splats, "reporter": Reporter(), "threads": 1}
-    if case.points.startswith("joined"):  # the octree is given reconstructed and dense points alike
-        every = initial_points(dataclasses.replace(config, mode="none", target=JOINED), model, dense, **options)
+    if case.points.startswith(("joined", "filled")):  # the octree is given reconstructed and dense points alike
+        count = JOINED if case.points.startswith("joined") else max_splats
+        every = initial_points(dataclasses.replace(config, mode="none", target=count), model, dense, **options)
         target = round(OCTREE_SHARE * len(every.positions))
-        if case.points == "joined-octree":
+        if case.points.endswith("octree"):
             return prune_octree(every.positions, every.colors, target=target, threads=1)
-        return every if case.points == "joined" else _drawn(every, target)
+        return _drawn(every, target) if case.points.endswith("random") else every
     return initial_points(config, model, dense, **options)
 
 

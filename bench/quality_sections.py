@@ -40,9 +40,9 @@ def octree(table: Table) -> str:
     for names, about in (
         (
             ("joined", "joined, octree", "joined, random"),
-            "Reconstructed and dense points, as the default gives them to the octree, and room for all of them "
-            "(40,000 Gaussians).",
+            "Reconstructed and dense points together, and room for all of them and more (40,000 Gaussians).",
         ),
+        (("filled", "filled, octree", ""), "As many of both as Gaussians are allowed (20,000)."),
         (
             ("all points", "octree .4", "random .4"),
             f"The reconstruction's points alone, {OCTREE_SHARE:.0%} kept; the default prunes no cloud this small.",
@@ -61,7 +61,7 @@ def _pruned(table: Table, name: str, every: str, octree: str, random: str) -> li
     before, after = table.figure(every, name, "points"), table.figure(octree, name, "points")
     if before is None or after is None:
         return None
-    differences = [table.difference(case, every, name) for case in (octree, random)]
+    differences = [table.difference(case, every, name) if case else None for case in (octree, random)]
     seconds = table.difference(octree, every, name, "seconds", relative=True)
     return [
         name, f"{after.mean:.0f} of {before.mean:.0f} ({after.mean / before.mean:.0%})",

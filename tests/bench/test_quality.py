@@ -158,6 +158,9 @@ def test_altered_inputs(scene, tmp_path, monkeypatch):
     for which, count in (("joined", 150), ("joined-octree", 60), ("joined-random", 60)):
         assert len(inputs(points=which).points.positions) == count
 
+    for which, count in (("filled", 90), ("filled-octree", 36)):
+        assert len(inputs(points=which, training={"max_splats": 90}).points.positions) == count
+
     moved = inputs(disturbed=True).views.viewmats
     assert (moved[is_test] == scene.views.viewmats[is_test]).all()
     assert (moved[~is_test] != scene.views.viewmats[~is_test]).any(axis=(1, 2)).all()
@@ -202,7 +205,17 @@ def test_every_case_has_its_place_in_the_report(tmp_path):
         if quality.fits(case, name)
     ]  # fmt: skip
     text = write_report(rows, tmp_path, pictures=tmp_path / "none").read_text()
-    told = ("noise", "every", "joined", "exposure", "passers", "poses", "plain 0", "plain 1")  # by what they change
+    told = (
+        "noise",
+        "every",
+        "joined",
+        "filled",
+        "exposure",
+        "passers",
+        "poses",
+        "plain 0",
+        "plain 1",
+    )  # by what they change
     assert all(f"| {case.name} |" in text for case in CASES if not case.name.startswith(told))
     assert "## Noisy poses" in text
     assert "Also measured" not in text
