@@ -41,6 +41,10 @@ PAPER = {  # what the method's paper (GraphGS, ICLR 2025) prints, on Waymo
     "Initial points": "The paper: 29.74 dB from 245,820 points, 29.75 from 100,000; no random control.",
 }
 
+BEFORE_DENSE_POINTS = """
+- **Before** there were dense points and a loss of their depth: here, `full` is consistency, sampling by importance and
+  the reconstruction's points."""
+
 
 def write_report(
     rows: list[dict],
@@ -100,6 +104,7 @@ def _introduction(table: Table) -> str:
     seeds = max(len(table.seeds("full", name)) for name in table.sets) if table.sets else 0
     jobs = " or ".join(str(n) for n in sorted({row["jobs"] for row in rows}))
     missing = sum(row["missing"] for row in rows if row["case"] == "full" and row["seed"] == 0)
+    before = "" if any(row.get("dense_s") for row in rows) else BEFORE_DENSE_POINTS
     return f"""# Quality: what each part gains, and what it does not
 
 Made by `python -m bench.quality --report` from `bench/results/quality.jsonl`; no number is written by hand.
@@ -116,7 +121,7 @@ Made by `python -m bench.quality --report` from `bench/results/quality.jsonl`; n
   means. PSNR is the mean over held-out views, "worst" its lowest view. Up to {seeds} seeds; ± is the standard deviation
   over them.
 - **Differences** compare equal seeds. One *gains* or *loses* only where zero lies outside its 95 % interval (Student's
-  t: three seeds need a mean of 2.5 times their spread); otherwise it is *undecided*, and one seed decides nothing."""
+  t: three seeds need a mean of 2.5 times their spread); otherwise it is *undecided*, and one seed decides nothing.{before}"""
 
 
 def _headline(table: Table, folder: Path, mark: str) -> str:
