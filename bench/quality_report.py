@@ -121,7 +121,8 @@ Made by `python -m bench.quality --report` from `bench/results/quality.jsonl`; n
   means. PSNR is the mean over held-out views, "worst" its lowest view. Up to {seeds} seeds; ± is the standard deviation
   over them.
 - **Differences** compare equal seeds. One *gains* or *loses* only where zero lies outside its 95 % interval (Student's
-  t: three seeds need a mean of 2.5 times their spread); otherwise it is *undecided*, and one seed decides nothing.{before}"""
+  t: three seeds need a mean of 2.5 times their spread); otherwise it is *undecided*, and one seed decides
+  nothing.{before}"""
 
 
 def _headline(table: Table, folder: Path, mark: str) -> str:
