@@ -18,8 +18,8 @@ MAPPING_S = 0.25  # per photo: .06 to .4
 DENSE_S, DENSE_PIXELS = 0.3, 256 * 144  # per photo of this size swept with 4 partners: .2 to .4
 DENSE_BYTES = 11  # per pixel of all swept photos
 PAIRS_PER_PHOTO = 4.5  # 3.6 to 4.9
-# A training step at 270 x 480 px, seconds on one thread, fitted to: 13,600 Gaussians .056; runs that end with 20,000 .036
-# to .055; forward and backward alone, 10,000 .035 and 50,000 .088 (on two threads .033 and .055)
+# A training step at 270 x 480 px, seconds on one thread, fitted to: 13,600 Gaussians .056; runs that end with 20,000
+# .036 to .055; forward and backward alone, 10,000 .035 and 50,000 .088 (on two threads .033 and .055)
 PIXEL_S = 0.025 / (270 * 480)
 SPLAT_S = 1.8e-6
 # On an H100, the only card measured: 13,600 Gaussians .0048; forward and backward of 1,000,000 take .003 more
