@@ -32,6 +32,7 @@ from graphgs.export.colmap import write_colmap
 from graphgs.export.ply import write_ply
 from graphgs.memory import peak_rss_bytes
 from graphgs.pipeline import Posed, Run, Trained, partial_error
+from graphgs.stages import EVALUATION
 from graphgs.structure.pair_set import KIND_NAMES
 from graphgs.structure.result import Structure
 from graphgs.structure.rotation_only import LARGEST_TURNING_SHARE
@@ -66,7 +67,7 @@ def write_outputs(run: Run, posed: Posed, made: Made | None, *, command: str, st
     )  # fmt: skip
     if made is not None:
         write_ply(made.trained.splats, output / "splat.ply")
-        publish_pictures(run.workspace.cache / "11_evaluation", output / "eval")
+        publish_pictures(run.workspace.cache / EVALUATION.folder, output / "eval")
     run.seconds["outputs"] = round(time.perf_counter() - started, 3)
     metrics = collect_metrics(run, posed, made, versions, status)
     write_json(output / "metrics.json", metrics)

@@ -7,6 +7,7 @@ from graphgs import cli
 from graphgs.graph import CameraGraph
 from graphgs.scene.colmap import read_model
 from graphgs.scene.views import Views
+from graphgs.stages import TRAINING, VIEWS
 from graphgs.synth.street import StreetConfig, write_street
 from graphgs.training.trained import Trained
 
@@ -25,7 +26,7 @@ def scene(tmp_path_factory):
 
 
 def test_refined_poses_are_exported(scene):
-    trained, views = Trained.load(scene / "cache" / "10_training"), Views.load(scene / "cache" / "06_views")
+    trained, views = Trained.load(scene / "cache" / TRAINING.folder), Views.load(scene / "cache" / VIEWS.folder)
     training = ~views.is_test
     assert not (trained.viewmats[training] == views.viewmats[training]).all(axis=(1, 2)).any()
     assert np.array_equal(trained.viewmats[~training], views.viewmats[~training])

@@ -16,7 +16,7 @@ from plyfile import PlyData
 
 import graphgs
 from graphgs import cli
-from graphgs.pipeline import STAGES
+from graphgs.pipeline import EVALUATION, STAGES
 from graphgs.scene.colmap import read_model
 from graphgs.synth.street import StreetConfig, write_street
 
@@ -111,12 +111,12 @@ def test_more_steps_rerun_training_and_evaluation_alone(photos, scene):
 
 def test_eval_measures_the_same_again(scene, capsys):
     metrics = json.loads((scene / "metrics.json").read_text())
-    kept = (scene / "cache" / "11_evaluation" / "evaluation.json").read_text()
+    kept = (scene / "cache" / EVALUATION.folder / "evaluation.json").read_text()
     assert cli._guarded(["eval", str(scene), "--device", "cpu"]) == 0
     assert f"{metrics['psnr']:.2f} dB" in capsys.readouterr().out
     again = json.loads((scene / "eval" / "evaluation.json").read_text())
     assert again["psnr"] == pytest.approx(metrics["psnr"], abs=1e-3)  # splat.ply holds normalised quaternions
-    assert (scene / "cache" / "11_evaluation" / "evaluation.json").read_text() == kept
+    assert (scene / "cache" / EVALUATION.folder / "evaluation.json").read_text() == kept
 
 
 @pytest.mark.parametrize(("views", "count"), [("test", 2), ("train", 10), ("all", 12)])
