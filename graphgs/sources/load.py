@@ -158,6 +158,7 @@ def _one(config: SourcesConfig, layout: Layout, folder: Path, budget: _PixelBudg
         time=exif.time,
         exif_readable=exif.readable,
         orientation=exif.orientation,
+        focal_given=config.focal_px is not None,
     )
 
 

@@ -1,8 +1,10 @@
 """The ladder of reconstructions: a step is tried only where none before it was accepted.
 
-1. Triangulate the fine matches from the coarse poses, then two rounds of bundle adjustment and filtering.
+1. Triangulate the fine matches from the coarse poses, then two rounds of bundle adjustment and filtering, between which
+   the photos are asked what they say of their lenses (`calibrated`).
 2. Photos the coarse reconstruction missed: COLMAP's incremental mapper with the poses of 1 held, then 1 from its poses.
-3. The incremental mapper from nothing on the same sparse graph, with two seeds, then 1 from its poses.
+3. The incremental mapper from nothing on the same sparse graph, then 1 from its poses. Where it does not agree with the
+   coarse reconstruction either, twice more from disjoint halves of the tracks: models that share nothing but the photos.
 4. More pairs (twice the nearest cameras, all look-alikes), and 1 to 3 again.
 5. Where EXIF tells the focal length of every photo: a global reconstruction (GLOMAP, which failed 2 of 8 times), then 1
    from its poses.
@@ -14,12 +16,13 @@ from dataclasses import dataclass
 
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.structure.acceptance import Agreement, agreement
+from graphgs.structure.calibrated import calibrated
 from graphgs.structure.contradictions import PairSupport
+from graphgs.structure.halves import models_of_halves
 from graphgs.structure.model_calls import ModelCalls
 from graphgs.structure.more_pairs import every_pair, wider_pairs, with_more_pairs
 from graphgs.structure.soundness import Soundness
 
-_ANOTHER_SEED = 1000  # offset
 _COMMON_SHARE = 0.5  # agreement on fewer of the photos says nothing about the rest
 _MOST_FOR_EVERY_PAIR = 150  # photos
 
@@ -70,7 +73,7 @@ def _climb(ladder: "_Ladder", calls: ModelCalls) -> None:
     if all(photo.focal_px for photo in calls.photos.photos):
         model = most.globally("5_global")
         if model is not None:
-            model = most.triangulated(model, "5_adjusted")
+            most, model = calibrated(most, model, "5_adjusted")
         if ladder.judge(most, model, "5_adjusted", "global, focal lengths known"):
             return
     if len(calls.photos.photos) <= _MOST_FOR_EVERY_PAIR:
@@ -106,28 +109,37 @@ class _Ladder:
         """Steps 1 to 3 on the matches of `calls`."""
         first = None
         if self._coarse is not None:
-            first = calls.triangulated(self._coarse, "1_triangulated")
+            calls, first = calibrated(calls, self._coarse, "1_triangulated")
             if self.judge(calls, first, "1_triangulated", f"triangulated from coarse poses{note}"):
                 return True
         if first is not None and len(first.names) < len(calls.matches.component):
             extended = calls.incremental("2_extended", start="1_triangulated")
             if extended is not None:
-                extended = calls.triangulated(extended, "2_adjusted")
+                calls, extended = calibrated(calls, extended, "2_adjusted")
             if self.judge(calls, extended, "2_adjusted", f"coarse poses, extended{note}"):
                 return True
-        models = []
-        for offset in (0, _ANOTHER_SEED):
-            name = f"3_adjusted_{offset}"
-            model = calls.incremental(f"3_incremental_{offset}", seed_offset=offset)
-            if model is not None:
-                model = calls.triangulated(model, name)
-            if self.judge(calls, model, name, f"incremental{note}"):
-                return True
-            models.append((model, name))
-        if any(model is None for model, _ in models):
+        model = calls.incremental("3_incremental")
+        if model is not None:
+            calls, model = calibrated(calls, model, "3_adjusted")
+        if self.judge(calls, model, "3_adjusted", f"incremental{note}"):
+            return True
+        return model is not None and self._halves_agree(calls, model, note)
+
+    def _halves_agree(self, calls: ModelCalls, model: Reconstruction, note: str) -> bool:
+        """A second opinion on the incremental model: two more from disjoint halves of the tracks, which must agree with
+        each other and with it."""
+        halves = models_of_halves(calls, "3_half")
+        if halves is None or not agreement(*halves).within(calls.config):
             return False
-        (larger, name), (smaller, _) = sorted(models, key=lambda m: -len(m[0].names))
-        return self.judge(calls, larger, name, f"incremental, two seeds{note}", smaller, "the same with another seed")
+        least = min(halves, key=lambda half: len(half.names))
+        return self.judge(
+            calls,
+            model,
+            "3_adjusted",
+            f"incremental, confirmed by both halves{note}",
+            least,
+            "half of the tracks alone",
+        )
 
 
 def judged(

@@ -10,13 +10,12 @@ from pathlib import Path
 from graphgs.errors import DataError
 from graphgs.progress import Reporter
 from graphgs.scene.reconstruction import Reconstruction
+from graphgs.scene.similarity import diameter
 from graphgs.sources.photos import Photos
-from graphgs.structure.cameras import shared_cameras
 from graphgs.structure.colmap import ColmapWorker
 from graphgs.structure.colors import colored
 from graphgs.structure.config import StructureConfig
 from graphgs.structure.diagnosis import diagnose
-from graphgs.structure.focal_held import cautions
 from graphgs.structure.given import map_given
 from graphgs.structure.ladder import Candidate, climb, judged
 from graphgs.structure.matching import Matches
@@ -81,7 +80,8 @@ def map_fine(
         rigs,
         world,
         diagnosis,
-        cautions(prior, shared_cameras(photos).known),
+        _cautions(best, reconstruction, world),
+        best.calls.calibration,
     )
 
 
@@ -92,6 +92,15 @@ def _mounted(best: Candidate) -> Candidate:
         return best
     found = judged(best.calls, model, best.name, f"{best.method}, rig constrained", best.other, best.compared_with)
     return dataclasses.replace(found, free=best.reconstruction) if found.rank >= best.rank else best
+
+
+def _cautions(best: Candidate, settled: Reconstruction, world: WorldFrame | None) -> tuple[str, ...]:
+    """What the photos leave open, in the units of the final world."""
+    calibration = best.calls.calibration
+    if calibration is None:
+        return ()
+    scale = diameter(settled.centers) / max(diameter(best.reconstruction.centers), 1e-12)
+    return calibration.cautions("" if world is None else "m", scale)
 
 
 def _settled(

@@ -9,6 +9,7 @@ import numpy as np
 
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.structure.acceptance import Agreement
+from graphgs.structure.calibration.belief import Calibration
 from graphgs.structure.diagnosis import Diagnosis
 from graphgs.structure.matching import Matches
 from graphgs.structure.rigs import RigPose
@@ -32,6 +33,7 @@ class Structure:
     world: WorldFrame | None = None  # None: the world's scale and axes are arbitrary
     diagnosis: Diagnosis | None = None  # None: nothing was matched
     cautions: tuple[str, ...] = ()  # what the photos leave open, though nothing contradicts the result; for people
+    calibration: Calibration | None = None  # what they said of their lenses; None: they were not asked
 
     @property
     def status(self) -> str:
@@ -55,6 +57,7 @@ class Structure:
             "rigs": len(self.rigs),
             "world": plain(self.world),
             "cautions": list(self.cautions),
+            "calibration": None if self.calibration is None else self.calibration.record(),
         }
         for k, rig in enumerate(self.rigs):
             rig.save(folder / f"rig_{k}.npz")
@@ -70,6 +73,8 @@ class Structure:
         header["rigs"] = tuple(RigPose.load(folder / f"rig_{k}.npz") for k in range(header["rigs"]))
         header["world"] = from_plain(header["world"])
         header["cautions"] = tuple(header.get("cautions", ()))  # older ones have none
+        calibration = header.get("calibration")
+        header["calibration"] = None if calibration is None else Calibration.from_record(calibration)
         header["diagnosis"] = Diagnosis.load(folder) if (folder / "diagnosis.json").is_file() else None
         with np.load(folder / "edges.npz", allow_pickle=False) as arrays:
             return Structure(Reconstruction.load(folder), **dict(arrays), **header)
