@@ -3,10 +3,11 @@
 import dataclasses
 
 from graphgs.scene.reconstruction import Reconstruction
-from graphgs.structure.calibration.lens import undistorted
+from graphgs.structure.calibration.lens import opened, undistorted
 from graphgs.structure.calibration.opening import self_calibrate
 from graphgs.structure.calibration.starts import largest_move, lens_starts
 from graphgs.structure.calibration.trials import Trials
+from graphgs.structure.cameras import with_lenses
 from graphgs.structure.database import by_photo_names
 from graphgs.structure.model_calls import NARROW, WIDE, ModelCalls
 
@@ -34,3 +35,15 @@ def calibrated(calls: ModelCalls, poses: Reconstruction, name: str) -> tuple[Mod
     posed = dataclasses.replace(by_photo_names(posed, calls.photos), cameras=calibration.cameras)
     rounds = (WIDE, NARROW) if moved > _MOVED else (NARROW,)
     return calls, calls.adjusted(posed, name, rounds=rounds)
+
+
+def with_parameters(
+    calls: ModelCalls, model: Reconstruction, name: str, parameters: tuple[str, ...]
+) -> tuple[ModelCalls, Reconstruction | None]:
+    """(the calls, the model of that name) with just these parameters of the lenses free, whatever the photos say."""
+    lenses = tuple(opened(undistorted(camera), parameters) for camera in model.cameras)
+    prior = dataclasses.replace(
+        calls.prior, cameras=with_lenses(calls.prior.cameras, calls.photos, model, lenses), refine=parameters
+    )
+    calls = dataclasses.replace(calls, prior=prior)
+    return calls, calls.adjusted(dataclasses.replace(model, cameras=lenses), name, rounds=(WIDE, NARROW))

@@ -4,7 +4,7 @@
    the photos are asked what they say of their lenses (`calibrated`).
 2. Photos the coarse reconstruction missed: COLMAP's incremental mapper with the poses of 1 held, then 1 from its poses.
 3. The incremental mapper from nothing on the same sparse graph, then 1 from its poses. Where it does not agree with the
-   coarse reconstruction either, twice more from disjoint halves of the tracks: models that share nothing but the photos.
+   coarse reconstruction either, twice more from disjoint halves of the tracks, which share nothing but the photos.
 4. More pairs (twice the nearest cameras, all look-alikes), and 1 to 3 again.
 5. Where EXIF tells the focal length of every photo: a global reconstruction (GLOMAP, which failed 2 of 8 times), then 1
    from its poses.
@@ -21,7 +21,9 @@ from graphgs.structure.contradictions import PairSupport
 from graphgs.structure.halves import models_of_halves
 from graphgs.structure.model_calls import ModelCalls
 from graphgs.structure.more_pairs import every_pair, wider_pairs, with_more_pairs
+from graphgs.structure.scale_across import ScaleAcross
 from graphgs.structure.soundness import Soundness
+from graphgs.structure.weak_places import disagreement, weak_places
 
 _COMMON_SHARE = 0.5  # agreement on fewer of the photos says nothing about the rest
 _MOST_FOR_EVERY_PAIR = 150  # photos
@@ -41,7 +43,13 @@ class Candidate:
     accepted: bool
     soundness: Soundness
     support: PairSupport
+    places: tuple[ScaleAcross, ...] = ()  # the weakest of it
     free: Reconstruction | None = None  # before its rigs became rigid
+
+    @property
+    def sound(self) -> bool:
+        """Nothing speaks against it but, perhaps, that photos are missing."""
+        return not self.soundness.doubts and not any(place.is_open for place in self.places)
 
     @property
     def rank(self) -> tuple[bool, int]:
@@ -64,12 +72,12 @@ def climb(calls: ModelCalls, coarse: Reconstruction | None) -> Candidate | None:
 
 
 def _climb(ladder: "_Ladder", calls: ModelCalls) -> None:
-    if ladder.steps(calls, ""):
+    if ladder.steps(calls, "", more_pairs_follow=True):
         return
     wider = with_more_pairs(calls, "4_more_pairs", wider_pairs(calls.prior))
-    if wider is not None and ladder.steps(wider, ", more pairs"):
+    most, note = (calls, "") if wider is None else (wider, ", more pairs")
+    if ladder.steps(most, note, more_pairs_follow=False):
         return
-    most = wider or calls
     if all(photo.focal_px for photo in calls.photos.photos):
         model = most.globally("5_global")
         if model is not None:
@@ -79,7 +87,7 @@ def _climb(ladder: "_Ladder", calls: ModelCalls) -> None:
     if len(calls.photos.photos) <= _MOST_FOR_EVERY_PAIR:
         everything = with_more_pairs(most, "6_every_pair", every_pair(calls.prior))
         if everything is not None:
-            ladder.steps(everything, ", every pair")
+            ladder.steps(everything, ", every pair", more_pairs_follow=False)
 
 
 class _Ladder:
@@ -105,8 +113,9 @@ class _Ladder:
                 self.best = found
         return self.best is not None and self.best.accepted
 
-    def steps(self, calls: ModelCalls, note: str) -> bool:
-        """Steps 1 to 3 on the matches of `calls`."""
+    def steps(self, calls: ModelCalls, note: str, *, more_pairs_follow: bool) -> bool:
+        """Steps 1 to 3 on the matches of `calls`. Step 3 waits where nothing is wrong with the poses but that too few
+        photos have one: then more pairs help, and another way of mapping does not."""
         first = None
         if self._coarse is not None:
             calls, first = calibrated(calls, self._coarse, "1_triangulated")
@@ -118,12 +127,18 @@ class _Ladder:
                 calls, extended = calibrated(calls, extended, "2_adjusted")
             if self.judge(calls, extended, "2_adjusted", f"coarse poses, extended{note}"):
                 return True
+        if more_pairs_follow and self._merely_incomplete(calls):
+            return False
         model = calls.incremental("3_incremental")
         if model is not None:
             calls, model = calibrated(calls, model, "3_adjusted")
         if self.judge(calls, model, "3_adjusted", f"incremental{note}"):
             return True
         return model is not None and self._halves_agree(calls, model, note)
+
+    def _merely_incomplete(self, calls: ModelCalls) -> bool:
+        best = self.best
+        return best is not None and best.agreement is not None and best.agreement.within(calls.config) and best.sound
 
     def _halves_agree(self, calls: ModelCalls, model: Reconstruction, note: str) -> bool:
         """A second opinion on the incremental model: two more from disjoint halves of the tracks, which must agree with
@@ -152,19 +167,29 @@ def judged(
 ) -> Candidate:
     """The model compared with another one of the same photos, made apart, and held against its matches."""
     config, component = calls.config, len(calls.matches.component)
-    agreed, accepted = None, False
+    agreed, place = None, None
     sound, support = calls.witness.judge(model)
+    places = weak_places(model, calls.witness)
+    broken = tuple(place.describe() for place in places if place.jumps)
+    sound = dataclasses.replace(sound, doubts=(*sound.doubts, *broken))
     if other is not None:
         agreed = agreement(other, model)
-        accepted = (
-            agreed.within(config)
-            and not sound.doubts
-            and len(model.names) >= config.min_registered * component
-            and agreed.common >= _COMMON_SHARE * len(model.names)
-        )
+        if not agreed.within(config):
+            place = disagreement(model, other, calls.witness, config)
+    # The model stands where it alone places one side of a cut so: its own points, from either side alone, say that.
+    upheld = place is not None and place.holds and not any(weak.is_open for weak in places)
+    accepted = (
+        agreed is not None
+        and (agreed.within(config) or upheld)
+        and not sound.doubts
+        and len(model.names) >= config.min_registered * component
+        and agreed.common >= _COMMON_SHARE * len(model.names)
+    )
+    if accepted and not agreed.within(config):
+        other_name += f" but for the place of one side {place.where}, which points seen from both sides confirm"
     figures = None if agreed is None else dataclasses.asdict(agreed)
     counts = {"registered": len(model.names), "component": component}
-    objections = {"soundness": dataclasses.asdict(sound)}
+    objections = {"soundness": dataclasses.asdict(sound), "places": [dataclasses.asdict(place) for place in places]}
     calls.reporter.event("mapping", method=method, accepted=accepted, agreement=figures, **counts, **objections)
     compared_with = other_name if other is not None else ""
-    return Candidate(model, calls, name, method, other, agreed, compared_with, accepted, sound, support)
+    return Candidate(model, calls, name, method, other, agreed, compared_with, accepted, sound, support, places)

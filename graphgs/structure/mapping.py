@@ -18,6 +18,7 @@ from graphgs.structure.config import StructureConfig
 from graphgs.structure.diagnosis import diagnose
 from graphgs.structure.given import map_given
 from graphgs.structure.ladder import Candidate, climb, judged
+from graphgs.structure.lens_by_gps import reopened
 from graphgs.structure.matching import Matches
 from graphgs.structure.model_calls import ModelCalls
 from graphgs.structure.prior import Prior
@@ -52,7 +53,9 @@ def map_fine(
                 calls.witness.rotation.describe(),
                 hint="take a step between photos, and some from the side, each overlapping the next by half or more",
             )
-        best = climb(calls, prior.reconstruction)
+        best, gps = climb(calls, prior.reconstruction), None
+        if best is not None:
+            best, gps = reopened(best)
         if best is not None and photos.rigs and config.rig_refinement == "constrained":
             best = _mounted(best)
         reporter.event("worker", stage="mapping", peak_rss_mb=round(worker.peak_rss_mb))
@@ -80,7 +83,7 @@ def map_fine(
         rigs,
         world,
         diagnosis,
-        _cautions(best, reconstruction, world),
+        _cautions(best, reconstruction, world) + (() if gps is None else gps.describe()),
         best.calls.calibration,
     )
 
@@ -96,11 +99,12 @@ def _mounted(best: Candidate) -> Candidate:
 
 def _cautions(best: Candidate, settled: Reconstruction, world: WorldFrame | None) -> tuple[str, ...]:
     """What the photos leave open, in the units of the final world."""
+    weak = tuple(place.describe() for place in best.places if place.is_open)
     calibration = best.calls.calibration
     if calibration is None:
-        return ()
+        return weak
     scale = diameter(settled.centers) / max(diameter(best.reconstruction.centers), 1e-12)
-    return calibration.cautions("" if world is None else "m", scale)
+    return calibration.cautions("" if world is None else "m", scale) + weak
 
 
 def _settled(

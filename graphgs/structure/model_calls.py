@@ -73,7 +73,7 @@ class ModelCalls:
     ) -> Reconstruction | None:
         """COLMAP's incremental mapper, from nothing or adding photos to the model of that name; `database`: other
         matches than all of them."""
-        # Lenses that the photos were asked about are good enough to find poses with; left free, each new photo may bend them.
+        # Lenses that the photos were asked about will do to find poses with; left free, each new photo may bend them.
         free = () if self.calibration is not None else self.prior.refine
         focal, bending = ("focal" in free), bool({"k1", "k2"} & set(free))
         options = {

@@ -15,6 +15,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from graphgs.scene.reconstruction import Reconstruction
+from graphgs.structure.calibration.points import sums
 from graphgs.structure.calibration.projection import linearise
 
 _LOSS_PX = 1.0  # scale of Cauchy's loss, as in the bundle adjustment of the ladder
@@ -67,7 +68,7 @@ def lens_information(model: Reconstruction) -> LensInformation:
 
     n, cameras = len(model.names), len(model.cameras)
     used, track = np.unique(track, return_inverse=True)
-    V = _per_point(by_point.transpose(0, 2, 1) @ by_point, track, len(used))
+    V = sums(by_point.transpose(0, 2, 1) @ by_point, track, len(used))
     V += (_DAMPING * np.trace(V, axis1=1, axis2=2))[:, None, None] * np.eye(3) + 1e-300 * np.eye(3)
     V_inverse = np.linalg.inv(V)
     # Observations without what their point can absorb: the columns of poses and lenses, and the residuals.
@@ -81,7 +82,7 @@ def lens_information(model: Reconstruction) -> LensInformation:
     V_sparse = _block_diagonal(V_inverse)
     S = (H - W @ V_sparse @ W.T).tocsc()
     pulls = J.transpose(0, 2, 1) @ residuals[:, :, None]  # [M, 11, 1]
-    point_pull = _per_point(by_point.transpose(0, 2, 1) @ residuals[:, :, None], track, len(used))
+    point_pull = sums(by_point.transpose(0, 2, 1) @ residuals[:, :, None], track, len(used))
     absorbed = (V_inverse @ point_pull)[track]  # [M, 3, 1]
     pulls = (pulls - J.transpose(0, 2, 1) @ (by_point @ absorbed))[:, :, 0]
 
@@ -107,13 +108,6 @@ def lens_information(model: Reconstruction) -> LensInformation:
 def _noise(residuals: np.ndarray) -> float:
     """[px] robust standard deviation of one coordinate."""
     return max(1.4826 * float(np.median(np.abs(residuals))), 1e-3) if len(residuals) else 1.0
-
-
-def _per_point(values: np.ndarray, track: np.ndarray, count: int) -> np.ndarray:
-    """Sums [P, ...] of values [M, ...] over the observations of each point."""
-    flat = values.reshape(len(values), -1)
-    total = np.stack([np.bincount(track, column, minlength=count) for column in flat.T], axis=1)
-    return total.reshape(count, *values.shape[1:])
 
 
 def _assembled(blocks: np.ndarray, rows: np.ndarray, columns: np.ndarray, shape: tuple[int, int]) -> sparse.csr_matrix:

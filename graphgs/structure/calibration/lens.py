@@ -36,8 +36,7 @@ def refinements(parameters: tuple[str, ...]) -> list[str]:
 
 
 def undistorted(camera: Camera) -> Camera:
-    """A lens of the same focal length of which nothing else is known. Models of more terms than `PARAMETERS` has stay as
-    they are."""
+    """A lens of the same focal length of which nothing else is known. Models of more terms than `PARAMETERS` stay."""
     if camera.model not in _SIMPLE:
         return camera
     focal = camera.focal_and_center[0]
@@ -46,7 +45,7 @@ def undistorted(camera: Camera) -> Camera:
 
 def opened(camera: Camera, parameters: tuple[str, ...]) -> Camera:
     """The camera in the smallest model that has these distortion terms and the ones it has values for. Models of more
-    terms than `PARAMETERS` has stay as they are."""
+    terms than `PARAMETERS` stay."""
     if camera.model not in _SIMPLE:
         return camera
     focal, _, cx, cy = camera.focal_and_center

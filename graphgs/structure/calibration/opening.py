@@ -25,8 +25,8 @@ from graphgs.structure.calibration.projection import LENS
 from graphgs.structure.calibration.tracks import errors_of, split_tracks
 from graphgs.structure.calibration.trials import Trials
 
-# Of the distance from the principal point at an image's corner; for the principal point, of the focal length. Group-robust
-# deviations came out a quarter of the true error where photos hardly tell: half a per cent then means two.
+# Of the distance from the principal point at an image's corner; for the principal point, of the focal length. Where
+# photos hardly tell, the true error was four times the group-robust deviation: half a per cent then means two.
 LARGEST_DEVIATION = 0.005
 _TRUE_ERROR = 4.0
 _CANDIDATES = (("focal",), ("k1",), ("principal_point",), ("k1", "k2"))  # opened together; the order of their weight
