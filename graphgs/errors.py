@@ -1,6 +1,7 @@
 """Errors for people: what went wrong, where, what to do next, and the exit code that goes with it.
 
-Exit codes: 0 ok, 1 bug, 2 usage, 3 the data cannot work, 4 memory, 5 disk, 130 interrupted.
+Exit codes: 0 ok, 1 bug, 2 usage, 3 the data cannot work, 4 memory, 5 disk, 130 interrupted, 141 the
+reader of the output went away.
 """
 
 

@@ -6,7 +6,6 @@ import platform
 import shutil
 import time
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -38,9 +37,8 @@ from graphgs.structure.result import Structure
 from graphgs.structure.rotation_only import LARGEST_TURNING_SHARE
 from graphgs.structure.soundness import LARGEST_SHARE, LARGEST_STRENGTH
 from graphgs.structure.world import plain
+from graphgs.versions import installed_versions
 from graphgs.workspace import write_json, write_text
-
-PACKAGES = ("graphgs", "torch", "warp-lang", "taichi", "pycolmap", "numpy", "scipy", "opencv-python-headless")
 
 
 @dataclass(frozen=True)
@@ -145,16 +143,6 @@ def device_name(device: str) -> str:
 
         return f"{device} ({torch.cuda.get_device_name(device)})"
     return f"cpu ({platform.processor() or platform.machine()}, {os.cpu_count()} cores)"
-
-
-def installed_versions() -> dict[str, str]:
-    found = {"python": platform.python_version()}
-    for name in PACKAGES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "not installed as a package"
-    return found
 
 
 def _write_settings(run: Run, versions: dict[str, str]) -> None:
