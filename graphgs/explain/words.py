@@ -13,6 +13,8 @@ def scene_lines(facts: dict[str, Any]) -> Iterator[str]:
         yield f"  doubt: {doubt}"
     for caution in facts["cautions"]:
         yield f"  caution: {caution}"
+    if facts["lenses"]:
+        yield f"lenses: {facts['lenses']}"
     yield from _sureness(facts)
     yield from _groups(facts["groups"])
     unused = facts["left_out"] + facts["skipped"]

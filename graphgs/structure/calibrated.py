@@ -31,10 +31,12 @@ def calibrated(calls: ModelCalls, poses: Reconstruction, name: str) -> tuple[Mod
     calibration, posed = self_calibrate(trials, Reconstruction.load(folder), starts, seed=calls.seed)
     moved = largest_move(wide.cameras, calibration.cameras)
     calls.reporter.event("lens", name=name, moved=moved, **calibration.record())
+    nothing_held = set(calls.prior.refine) <= set(calibration.refine)
     calls = calls.with_calibration(calibration, wide)
+    if moved <= _MOVED and nothing_held:  # the wide round had all tracks, the trials a part of them
+        return calls, calls.continued(f"{name}_wide", name, rounds=(NARROW,))
     posed = dataclasses.replace(by_photo_names(posed, calls.photos), cameras=calibration.cameras)
-    rounds = (WIDE, NARROW) if moved > _MOVED else (NARROW,)
-    return calls, calls.adjusted(posed, name, rounds=rounds)
+    return calls, calls.adjusted(posed, name, rounds=(WIDE, NARROW))
 
 
 def with_parameters(

@@ -44,6 +44,7 @@ class Candidate:
     soundness: Soundness
     support: PairSupport
     places: tuple[ScaleAcross, ...] = ()  # the weakest of it
+    upheld: ScaleAcross | None = None  # the place where it was believed against the other reconstruction
     free: Reconstruction | None = None  # before its rigs became rigid
 
     @property
@@ -185,11 +186,12 @@ def judged(
         and len(model.names) >= config.min_registered * component
         and agreed.common >= _COMMON_SHARE * len(model.names)
     )
-    if accepted and not agreed.within(config):
-        other_name += f" but for the place of one side {place.where}, which points seen from both sides confirm"
+    confirmed = place if accepted and not agreed.within(config) else None
     figures = None if agreed is None else dataclasses.asdict(agreed)
     counts = {"registered": len(model.names), "component": component}
     objections = {"soundness": dataclasses.asdict(sound), "places": [dataclasses.asdict(place) for place in places]}
     calls.reporter.event("mapping", method=method, accepted=accepted, agreement=figures, **counts, **objections)
     compared_with = other_name if other is not None else ""
-    return Candidate(model, calls, name, method, other, agreed, compared_with, accepted, sound, support, places)
+    return Candidate(
+        model, calls, name, method, other, agreed, compared_with, accepted, sound, support, places, confirmed
+    )

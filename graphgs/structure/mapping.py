@@ -85,6 +85,7 @@ def map_fine(
         diagnosis,
         _cautions(best, reconstruction, world) + (() if gps is None else gps.describe()),
         best.calls.calibration,
+        best.upheld,
     )
 
 

@@ -60,8 +60,12 @@ class ModelCalls:
 
     def adjusted(self, poses: Reconstruction, name: str, *, rounds: tuple[dict, ...]) -> Reconstruction | None:
         """The same with these rounds."""
-        limits = {"max_error_px": self.config.max_error_px, "min_angle_deg": self.config.min_angle_deg}
-        job = {"poses": self._write(poses, name), "rounds": [{**limits, **step} for step in rounds]}
+        job = {"poses": self._write(poses, name), "rounds": self._limited(rounds)}
+        return self._model(name, "triangulate", **job, refine=["poses", *refinements(self.prior.refine)])
+
+    def continued(self, start: str, name: str, *, rounds: tuple[dict, ...]) -> Reconstruction | None:
+        """The model of the name `start` with its tracks, through further rounds."""
+        job = {"start": self.scratch / start / "colmap", "rounds": self._limited(rounds)}
         return self._model(name, "triangulate", **job, refine=["poses", *refinements(self.prior.refine)])
 
     def triangulated_only(self, poses: Reconstruction, name: str) -> Reconstruction | None:
@@ -113,7 +117,12 @@ class ModelCalls:
 
     @property
     def _narrow(self) -> dict:
-        return {**NARROW, "max_error_px": self.config.max_error_px, "min_angle_deg": self.config.min_angle_deg}
+        return self._limited((NARROW,))[0]
+
+    def _limited(self, rounds: tuple[dict, ...]) -> list[dict]:
+        """Rounds with the limits of the settings where they have none of their own."""
+        limits = {"max_error_px": self.config.max_error_px, "min_angle_deg": self.config.min_angle_deg}
+        return [{**limits, **step} for step in rounds]
 
     def _write(self, poses: Reconstruction, name: str) -> Path:
         folder = self.scratch / f"{name}_from"

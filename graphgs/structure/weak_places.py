@@ -4,6 +4,7 @@ import numpy as np
 
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.scene.similarity import align_robust, diameter
+from graphgs.structure.acceptance import agreement
 from graphgs.structure.config import StructureConfig
 from graphgs.structure.cuts import weakest_cuts
 from graphgs.structure.scale_across import MatchedPoints, ScaleAcross, scale_across
@@ -33,6 +34,21 @@ def disagreement(
     apart = np.linalg.norm(moved, axis=1) > config.max_camera_shift * diameter(model.centers)
     if not 0 < apart.sum() <= _MOST_APART * len(common):
         return None
+    near = {model.names[k] for k in common[~apart]}
+    if not agreement(_of(other, near), _of(model, near)).within(config):
+        return None  # they differ elsewhere, too
     side = np.zeros(len(model.names), bool)
     side[common[apart]] = True
     return scale_across(model, MatchedPoints.of(model, witness.photos.names, witness.verified), side)
+
+
+def _of(model: Reconstruction, names: set[str]) -> Reconstruction:
+    """The poses of some photos alone."""
+    rows = [k for k, name in enumerate(model.names) if name in names]
+    return Reconstruction(
+        cameras=model.cameras,
+        names=tuple(model.names[k] for k in rows),
+        camera_ids=model.camera_ids[rows],
+        rotations=model.rotations[rows],
+        translations=model.translations[rows],
+    )

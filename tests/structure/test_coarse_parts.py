@@ -16,7 +16,8 @@ from graphgs.structure.calibration.lens import PARAMETERS, opened
 from graphgs.structure.calibration.starts import wide_open
 from graphgs.structure.cameras import rescaled, shared_cameras
 from graphgs.structure.candidates import candidate_pairs
-from graphgs.structure.coarse_attempt import Attempt, _best_mapping, _Mapped, coarse_pairs
+from graphgs.structure.coarse_attempt import coarse_pairs
+from graphgs.structure.coarse_mapping import CoarseMapper, Mapped
 from graphgs.structure.config import StructureConfig
 from graphgs.structure.focal import vote_focal
 from graphgs.structure.gps import enu_from_wgs84
@@ -250,9 +251,8 @@ def test_of_several_guesses_the_mapping_with_the_least_error_wins(tmp_path, answ
         dataclasses.replace(start, cameras=(Camera("SIMPLE_RADIAL", 320, 240, (focal, 160.0, 120.0, 0.0)),))
         for focal in answers
     ]
-    found = _best_mapping(
-        photos, guesses, Attempt(640, 1000, 0, True), True, MapperStandIn(answers, drift), tmp_path, Reporter(), 1
-    )
+    mapper = CoarseMapper(photos, MapperStandIn(answers, drift), tmp_path, Reporter(), 1)
+    found = mapper.best(guesses, 0, hold=True)
     assert (found.model.cameras[0].params[0] if found else None) == chosen
     assert found is None or found.cameras.cameras[0].params[0] == chosen
 
@@ -279,25 +279,16 @@ def test_a_mapping_that_its_matches_contradict_is_tried_again(tmp_path, monkeypa
 
     asked = []
 
-    def best_mapping(photos, guesses, attempt, *rest):
-        asked.append(attempt.seed)
-        return _Mapped(model(attempt.seed), guesses[0], tmp_path)
+    class Mapper(CoarseMapper):
+        def best(self, guesses, seed, *, hold):
+            asked.append(seed)
+            return Mapped(model(seed), guesses[0], tmp_path)
 
-    monkeypatch.setattr(coarse_attempt, "_best_mapping", best_mapping)
     monkeypatch.setattr(coarse_attempt, "read_verified", lambda database: None)
     monkeypatch.setattr(
         coarse_attempt, "_contradiction", lambda found, *rest: strengths[int(found.cameras[0].params[0]) - 100]
     )
-    found = coarse_attempt._less_contradicted(
-        None,
-        _Mapped(model(0), "guess", tmp_path),
-        ["guess"],
-        Attempt(640, 1000, 0, False),
-        False,
-        None,
-        tmp_path,
-        Reporter(),
-        1,
-    )
+    mapper = Mapper(None, None, tmp_path, Reporter(), 1)
+    found = coarse_attempt._less_contradicted(mapper, Mapped(model(0), "guess", tmp_path), ["guess"], 0, hold=False)
     assert found.model.cameras[0].params[0] == 100 + chosen
     assert asked == mapped

@@ -60,6 +60,14 @@ class Calibration:
         telling = [held for held in self.held if held.shape.matters]
         return tuple(held.describe(unit, scale) + _ADVICE.get(held.parameter, "") for held in telling)
 
+    def describe(self) -> str:
+        """One line: the focal lengths, what the photos determine, what is held."""
+        focals = ", ".join(dict.fromkeys(f"{camera.focal_and_center[0]:.0f} px" for camera in self.cameras))
+        found = ", ".join(TITLES[parameter] for parameter in self.refine)
+        open_ones = "; ".join(held.describe() for held in self.held)
+        said = f"focal length {focals}; the photos determine {found or 'nothing of their lenses'}"
+        return f"{said}; {open_ones}" if open_ones else said
+
     def record(self) -> dict:
         """Plain values, for files and events."""
         return dataclasses.asdict(self)

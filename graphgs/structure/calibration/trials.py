@@ -32,6 +32,7 @@ class Trials:
         *,
         tracks: np.ndarray | None = None,  # [A] int: the points that take part; None: all that there are
         start: Path | None = None,  # an earlier trial to go on from, with its tracks
+        apart: np.ndarray | None = None,  # [K] int: photos with a camera of their own, the last of `cameras`
     ) -> tuple[Reconstruction, Path]:
         """The adjusted model and its folder."""
         folder = self.scratch / name
@@ -50,5 +51,6 @@ class Trials:
                 step=_STEP,
                 seed=self.seed,
                 threads=self.threads,
+                apart=None if apart is None else apart.tolist(),
             )
         return Reconstruction.load(folder), folder

@@ -69,7 +69,6 @@ def map_globally(
 
 def triangulate(
     database: str,
-    poses: str,  # folder of a Reconstruction whose names are pixel files
     out: str,
     rounds: list[dict],  # each: max_error_px, min_angle_deg, loss (a pycolmap LossFunctionType), loss_scale_px, and
     # tolerance (relative decrease of the cost at which bundle adjustment stops)
@@ -77,15 +76,34 @@ def triangulate(
     seed: int,
     threads: int,
     progress: Progress,
+    poses: str | None = None,  # folder of a Reconstruction whose names are pixel files, to begin from; or
+    start: str | None = None,  # folder of a model in COLMAP's format, to go on from with its tracks
 ) -> dict:
     """Triangulate the database's matches from given poses, then bundle adjustment and filtering, in rounds.
 
     What `refine` does not name stays exactly as given."""
     pycolmap.set_random_seed(seed)
-    given = Reconstruction.load(Path(poses))
     with pycolmap.Database.open(database) as db:
         # Poses that are kept stay even where no match supports them.
         cache = pycolmap.DatabaseCache.create(db, pycolmap.DatabaseCacheOptions(load_all_images=not refine))
+    if start is None:
+        model = _with_poses(cache, Reconstruction.load(Path(poses)))
+    else:
+        model = pycolmap.Reconstruction(start)
+        for camera_id, camera in model.cameras.items():
+            if cache.exists_camera(camera_id):
+                cache.cameras[camera_id].model, cache.cameras[camera_id].params = camera.model, camera.params
+    mapper = pycolmap.IncrementalMapper(cache)
+    mapper.begin_reconstruction(model)
+    for index, step in enumerate(rounds):
+        _round(mapper, model, step, refine, seed, threads)
+        progress(index + 1, len(rounds))
+    mapper.end_reconstruction(discard=False)
+    return save(model, out)
+
+
+def _with_poses(cache: pycolmap.DatabaseCache, given: Reconstruction) -> pycolmap.Reconstruction:
+    """A model without points, with the poses and intrinsics of a reconstruction."""
     camera_of = {image.name: image.camera_id for image in cache.images.values()}
     for k, name in enumerate(given.names):
         if name in camera_of:  # the model of the lens too may be another than the database's
@@ -100,13 +118,7 @@ def triangulate(
         pose = pycolmap.Rigid3d(pycolmap.Rotation3d(given.rotations[k]), given.translations[k])
         model.frame(image.frame_id).set_cam_from_world(image.camera_id, pose)
         model.register_frame(image.frame_id)
-    mapper = pycolmap.IncrementalMapper(cache)
-    mapper.begin_reconstruction(model)
-    for index, step in enumerate(rounds):
-        _round(mapper, model, step, refine, seed, threads)
-        progress(index + 1, len(rounds))
-    mapper.end_reconstruction(discard=False)
-    return save(model, out)
+    return model
 
 
 def _largest(

@@ -17,6 +17,7 @@ def adjust(
     seed: int,
     threads: int,
     progress: Progress,
+    apart: list[int] | None = None,  # images, as indices in the order of ids, that get a camera of their own: the last
 ) -> dict:
     """Adjust, without filtering: whatever it makes of the model can be compared over the same observations."""
     pycolmap.set_random_seed(seed)
@@ -27,6 +28,8 @@ def adjust(
             if k not in kept:
                 found.delete_point3D(point_id)
     image_ids = sorted(found.reg_image_ids())
+    if apart:
+        found = _set_apart(found, [image_ids[k] for k in apart])
     camera_ids = sorted({found.image(i).camera_id for i in image_ids})
     for camera_id, fields in zip(camera_ids, cameras, strict=True):
         set_intrinsics(found.camera(camera_id), Camera(**fields))
@@ -38,3 +41,28 @@ def adjust(
     found.update_point_3d_errors()
     progress(1, 1)
     return save(found, out)
+
+
+def _set_apart(model: pycolmap.Reconstruction, image_ids: list[int]) -> pycolmap.Reconstruction:
+    """The same model with some images that share a camera having one of their own, with the same values to start from.
+    An image that is part of a model keeps its camera, so the model is written anew. Points keep their order."""
+    made = pycolmap.Reconstruction()
+    shared = model.image(image_ids[0]).camera_id
+    own = max(model.cameras) + 1
+    for camera_id in (*sorted(model.cameras), own):
+        fields = model.camera(shared if camera_id == own else camera_id).todict()
+        made.add_camera_with_trivial_rig(pycolmap.Camera({**fields, "camera_id": camera_id}))
+    apart = set(image_ids)
+    for image_id in sorted(model.reg_image_ids()):
+        image = model.image(image_id)
+        copy = pycolmap.Image(
+            name=image.name,
+            keypoints=np.array([point.xy for point in image.points2D]).reshape(-1, 2),
+            camera_id=own if image_id in apart else image.camera_id,
+            image_id=image_id,
+        )
+        made.add_image_with_trivial_frame(copy, image.cam_from_world())
+    for point_id in sorted(model.point3D_ids()):
+        point = model.point3D(point_id)
+        made.add_point3D(point.xyz, point.track, point.color)
+    return made
