@@ -17,6 +17,7 @@ from graphgs.structure.coarse_mapping import ABOUT_AS_MANY, CoarseMapper, Mapped
 from graphgs.structure.colmap import ColmapWorker
 from graphgs.structure.config import StructureConfig
 from graphgs.structure.contradictions import support_of
+from graphgs.structure.crashes import match_around_crashes
 from graphgs.structure.database import create_database
 from graphgs.structure.evidence import VerifiedMatches, read_verified
 from graphgs.structure.feature_cache import FeatureCache
@@ -96,11 +97,13 @@ def run_attempt(
         learned_matches(photos, features, pairs.tolist(), work / "matches", threads=threads, reporter=reporter)
         worker.run("verify_given", database=database, matches=work / "matches", verification=verification)
     else:
-        worker.run(
-            "match",
+        match_around_crashes(
+            worker,
+            photos.names,
+            pairs.tolist(),
+            work / "crashes.json",
             progress=lambda done, total: reporter.progress(done, total, "coarse matches"),
             database=database,
-            pairs=pairs.tolist(),
             chunk_pairs=8 * config.chunk_pairs,
             matching={},
             verification=verification,
