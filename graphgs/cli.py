@@ -236,6 +236,8 @@ def _say(error: GraphGSError) -> int:
     print(f"error: {printable(error.message)}", file=sys.stderr)
     if error.hint:
         print(f"       {printable(error.hint)}", file=sys.stderr)
+    if error.command:
+        print(f"       {printable(error.command)}", file=sys.stderr)
     return error.exit_code
 
 
@@ -265,7 +267,7 @@ def _finished(result, json: bool) -> None:
     if json:
         return
     metrics = result.metrics
-    print(f"done: {metrics['registered']} of {metrics['images']} photos placed")
+    print(printable(metrics["partial"] or f"done: {metrics['registered']} of {metrics['images']} photos placed"))
     for caution in metrics["cautions"]:
         print(printable(f"      caution: {caution}"))
     if metrics["psnr"] is not None:

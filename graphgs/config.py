@@ -83,6 +83,7 @@ _AT_MOST = {
     "training.ssim_weight": 1,
     "training.initial_opacity": 1,
     "structure.min_registered": 1,
+    "structure.max_apart_share": 1,
     "structure.fine_first_octave": 4,
 }
 

@@ -6,7 +6,7 @@ reader of the output went away.
 
 
 class GraphGSError(Exception):
-    """Base of every error a user can meet. `hint` says what to do next."""
+    """Base of every error a user can meet. `hint` says what to do next, `command` what tells more."""
 
     exit_code = 1
 
@@ -14,6 +14,7 @@ class GraphGSError(Exception):
         super().__init__(message)
         self.message = message
         self.hint = hint
+        self.command = ""
 
 
 class UsageError(GraphGSError):

@@ -17,6 +17,7 @@ from graphgs.structure.colors import colored
 from graphgs.structure.config import StructureConfig
 from graphgs.structure.diagnosis import diagnose
 from graphgs.structure.given import map_given
+from graphgs.structure.grouping import grouping_of
 from graphgs.structure.ladder import Candidate, climb, judged
 from graphgs.structure.lens_by_gps import reopened
 from graphgs.structure.matching import Matches
@@ -69,7 +70,8 @@ def map_fine(
     reconstruction = colored(reconstruction, photos, threads=threads)
     edges, inliers = edges_among(matches, reconstruction.names)
     judgement = (best.soundness, best.support)
-    diagnosis = diagnose(photos, matches, prior, reconstruction, best.calls.witness, judgement, threads=threads)
+    grouping = grouping_of(config, matches, prior, reconstruction)
+    diagnosis = diagnose(photos, matches, grouping, reconstruction, best.calls.witness, judgement, threads=threads)
     return Structure(
         reconstruction,
         edges,
@@ -78,12 +80,12 @@ def map_fine(
         best.method,
         best.agreement,
         best.compared_with,
-        len(matches.component),
+        grouping,
         tuple((entry.name, entry.reason) for entry in diagnosis.left_out),
         rigs,
         world,
         diagnosis,
-        _cautions(best, reconstruction, world) + (() if gps is None else gps.describe()),
+        _cautions(best, reconstruction, world) + (() if gps is None else gps.describe()) + diagnosis.cautions(matches),
         best.calls.calibration,
         best.upheld,
     )

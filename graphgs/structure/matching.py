@@ -20,6 +20,7 @@ from graphgs.structure.crashes import Crash, match_around_crashes
 from graphgs.structure.database import create_database, link_or_copy
 from graphgs.structure.feature_cache import FeatureCache
 from graphgs.structure.features import crashed_photos, extract_features
+from graphgs.structure.nothing_matches import fault_of_photos
 from graphgs.structure.pairing import Pairs
 from graphgs.structure.prior import Prior
 
@@ -136,7 +137,8 @@ def match_pairs(
         groups=[len(group) for group in groups[:10]],
     )
     if len(groups[0]) < 3:
-        raise _apart(photos.names, groups, len(tried), len(edges))
+        fault = fault_of_photos(photos, features, threads=threads)
+        raise fault or _apart(photos.names, groups, len(tried), len(edges))
     if len(groups) > 1:
         reporter.warn(
             f"the photos fall into {len(groups)} groups without common features, of which one can be kept: "

@@ -18,6 +18,7 @@ from graphgs.structure.acceptance import Agreement
 from graphgs.structure.contradictions import PairSupport
 from graphgs.structure.diagnosis import Diagnosis
 from graphgs.structure.evidence import TriedPairs
+from graphgs.structure.grouping import Grouping
 from graphgs.structure.groups import Bridge, Group
 from graphgs.structure.left_out import LeftOut
 from graphgs.structure.pair_set import CONNECTION, NEIGHBOUR, RING
@@ -58,6 +59,7 @@ def scene(tmp_path) -> Path:
         names=NAMES,
         sharpness=np.r_[np.full(m, 20.0), [20, 20, 2, 1]],
         contrast=np.full(n, 50.0),
+        edge_px=np.full(n, 1.0),
         features=np.full(n, 1000),
         points=points,
         error_px=np.r_[np.full(m, 0.5), np.full(4, np.nan)],
@@ -73,10 +75,11 @@ def scene(tmp_path) -> Path:
             LeftOut("soft.jpg", "blur", "blurred"),
             LeftOut("wall.jpg", "no overlap", "no overlap"),
         ),
-        groups=(Group("day", PLACED), Group("night", OTHERS[:2], Bridge(PLACED[3], "night/100.jpg", 11))),
     )
+    groups = (Group("day", PLACED), Group("night", OTHERS[:2], Bridge(PLACED[3], "night/100.jpg", 11)))
+    grouping = Grouping(groups, OTHERS[2:], 2, 2)
     structure = Structure(
-        model, EDGES, inliers, True, "by hand", Agreement(9, 0.2, 0.7, 0.004), "the coarse reconstruction", m,
+        model, EDGES, inliers, True, "by hand", Agreement(9, 0.2, 0.7, 0.004), "the coarse reconstruction", grouping,
         tuple((entry.name, entry.reason) for entry in diagnosis.left_out), diagnosis=diagnosis,
         cautions=("the focal length is open",),
     )  # fmt: skip
@@ -211,7 +214,6 @@ def test_poses_that_came_with_points_have_no_diagnosis(scene):
     (scene / "cache" / MAPPING.folder / "diagnosis.json").unlink()
     found = read_artefacts(scene)
     facts = scene_facts(found)
-    assert facts["groups"] == []
     assert facts["weakest"] == []
     assert facts["left_out"][0]["reason"] == "shares features with night/101.jpg alone"
     pairs = photo_facts(found, "day/005.jpg")["pairs"]
