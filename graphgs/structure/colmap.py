@@ -74,14 +74,16 @@ class ColmapWorker:
             self._process.stdin.close()
         self._process.stdout.close()
 
-    def run(self, job: str, *, progress: Callable[[int, int], None] | None = None, **arguments) -> dict:
+    def run(self, job: str, *, progress: Callable[[int, int], None] | None = None, tries: int = 2, **arguments) -> dict:
         """Run one job of `colmap_jobs` and return its result. If a signal ends the worker, the job is run once more by
-        another one, on one thread and in smaller chunks. Raises GraphGSError when it fails, WorkerDied when the
-        second worker is ended too."""
+        another one, on one thread and in smaller chunks. Raises GraphGSError when it fails, WorkerDied when the last of
+        `tries` workers is ended too; then `restart` gives another."""
         arguments = {k: str(v) if isinstance(v, Path) else v for k, v in arguments.items()}
         try:
             return self._run(job, progress, arguments)
         except WorkerDied as death:
+            if tries == 1:
+                raise
             self.restart(because=death.message)
         return self._run(job, progress, arguments | _gentler(arguments))
 

@@ -51,13 +51,13 @@ def match_around_crashes(
     """Match the pairs, but for those and those photos that end the worker. Raises WorkerDied when they are many."""
     pairs, found = [tuple(pair) for pair in pairs], _Found(memory)
 
-    def match(wanted: list[Pair], **less) -> None:
+    def match(wanted: list[Pair], **less: int) -> None:
         worker.run("match", database=database, pairs=wanted, progress=progress, **arguments | less)
 
     def culprits(suspects: list[Pair]) -> list[tuple[Pair, WorkerDied]]:
         """Those of a chunk that end the worker: it is halved until they are alone."""
         try:
-            match(suspects, threads=1, chunk_pairs=len(suspects))
+            match(suspects, threads=1, chunk_pairs=len(suspects), tries=1)
         except WorkerDied as death:
             worker.restart(because=death.message)
             if len(suspects) == 1:

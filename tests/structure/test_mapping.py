@@ -226,7 +226,9 @@ def test_blank_photos_are_told_to_share_nothing(corner, tmp_path):
     for photo in corner.photos.photos:
         cv2.imwrite(str(tmp_path / photo.pixels), np.full((HEIGHT, WIDTH, 3), 90, np.uint8))
     blank = dataclasses.replace(corner.photos, folder=tmp_path)
-    with pytest.raises(DataError, match="no two of the 8 photos") as caught:
+    with pytest.raises(
+        DataError, match="no three of the 8 photos could be matched, for they show too little texture"
+    ) as caught:
         coarse_poses(CONFIG, blank, scratch=tmp_path / "coarse", **ONE_THREAD)
     assert "overlap" in caught.value.hint
     prior = sequence_prior(own_prior(CONFIG, blank, scratch=tmp_path / "coarse", **ONE_THREAD))
