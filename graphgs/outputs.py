@@ -32,6 +32,7 @@ from graphgs.export.colmap import write_colmap
 from graphgs.export.ply import write_ply
 from graphgs.memory import peak_rss_bytes
 from graphgs.pipeline import Posed, Run, Trained, partial_error
+from graphgs.scene.origin import AT_ZERO, describe
 from graphgs.stages import EVALUATION
 from graphgs.structure.pair_set import KIND_NAMES
 from graphgs.structure.result import Structure
@@ -63,10 +64,10 @@ def write_outputs(run: Run, posed: Posed, made: Made | None, *, command: str, st
     posed.graph.save(output / "graph.json")
     write_colmap(
         output / "colmap", posed.views, posed.structure.reconstruction, posed.photos,
-        threads=run.threads, reporter=run.reporter,
+        origin=posed.structure.origin, threads=run.threads, reporter=run.reporter,
     )  # fmt: skip
     if made is not None:
-        write_ply(made.trained.splats, output / "splat.ply")
+        write_ply(made.trained.splats, output / "splat.ply", origin=posed.structure.origin)
         publish_pictures(run.workspace.cache / EVALUATION.folder, output / "eval")
     run.seconds["outputs"] = round(time.perf_counter() - started, 3)
     metrics = collect_metrics(run, posed, made, versions, status)
@@ -92,6 +93,7 @@ def collect_metrics(run: Run, posed: Posed, made: Made | None, versions: dict[st
         "registered": len(posed.structure.reconstruction.names),
         "rigs": [rig.record() for rig in posed.structure.rigs],
         "world": plain(posed.structure.world),
+        "origin": list(posed.structure.origin),
         "cautions": list(posed.structure.cautions),
         "skipped": {s.name: s.reason for s in posed.photos.skipped},
         "pairs_candidate": _pairs_tried(posed),
@@ -134,9 +136,15 @@ def report_data(
         steps_executed=metrics["steps_executed"],
         stage_seconds=metrics["seconds"],
         peak_rss_bytes=peak_rss_bytes(),
-        warnings=tuple(run.reporter.warnings) + ((posed.photos.given_note,) if posed.photos.given_note else ()),
+        warnings=tuple(run.reporter.warnings) + _notes(posed),
         outputs=_files(made is not None),
     )
+
+
+def _notes(posed: Posed) -> tuple[str, ...]:
+    """What a reader should know besides the warnings: which poses were used, and where the world's zero lies."""
+    origin = posed.structure.origin
+    return tuple(filter(None, (posed.photos.given_note, describe(origin) if origin != AT_ZERO else "")))
 
 
 def device_name(device: str) -> str:

@@ -20,6 +20,7 @@ from graphgs.forecast import forecast
 from graphgs.graph import CameraGraph
 from graphgs.graph.build import build_camera_graph
 from graphgs.points import DenseCloud, PrunedPoints, dense_cloud, initial_points
+from graphgs.scene.origin import AT_ZERO, describe
 from graphgs.scene.views import Views
 from graphgs.sources import Photos, fingerprint, load_photos
 from graphgs.stages import (
@@ -360,6 +361,8 @@ def _viewed(
 ) -> Posed:
     for caution in structure.cautions:  # of a reused structure as well
         run.reporter.warn(caution)
+    if structure.origin != AT_ZERO:
+        run.reporter.info(describe(structure.origin))
     model = structure.reconstruction
     views = run.stage(
         VIEWS,

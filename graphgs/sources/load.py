@@ -10,6 +10,7 @@ import numpy as np
 
 from graphgs.errors import DataError, DiskError, OutOfMemoryError
 from graphgs.progress import Reporter
+from graphgs.scene.origin import AT_ZERO, near_zero
 from graphgs.sources.config import SourcesConfig
 from graphgs.sources.decode import (
     MAX_PIXELS,
@@ -55,10 +56,10 @@ def load_photos(
         photos, skipped = _decode_all(config, layout, folder, reporter, threads)
     skipped = tuple(sorted((*layout.refused, *skipped), key=lambda s: s.name))
     _check_enough(source, photos, skipped)
-    given = fit_to_photos(poses, photos) if poses is not None else None
+    given, origin = near_zero(fit_to_photos(poses, photos)) if poses is not None else (None, AT_ZERO)
     sizes = np.array([(photo.original_width, photo.original_height) for photo in photos])
     rigs = find_rigs(tuple(photo.name for photo in photos), sizes) if config.rigs == "auto" else ()
-    result = Photos(folder, photos, skipped, given, layout.note, rigs)
+    result = Photos(folder, photos, skipped, given, layout.note, rigs, origin)
     for file in skipped[:SHOWN]:
         reporter.warn(f"{file.name}: skipped: {file.reason}")
     if len(skipped) > SHOWN:

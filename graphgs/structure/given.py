@@ -45,6 +45,7 @@ def keep_given(config: StructureConfig, photos: Photos) -> Structure:
         component=len(components(len(given.names), edges)[0]),
         unregistered=_without_pose(photos),
         rigs=rig_poses(photos, given),
+        origin=photos.origin,
     )
 
 
@@ -97,6 +98,7 @@ def map_given(
         else _without_pose(photos),
         rigs=rig_poses(photos, reconstruction),
         diagnosis=diagnosis,
+        origin=photos.origin,
     )
 
 

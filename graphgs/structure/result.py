@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from graphgs.scene.origin import AT_ZERO, Origin
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.structure.acceptance import Agreement
 from graphgs.structure.diagnosis import Diagnosis
@@ -32,6 +33,7 @@ class Structure:
     world: WorldFrame | None = None  # None: the world's scale and axes are arbitrary
     diagnosis: Diagnosis | None = None  # None: nothing was matched
     cautions: tuple[str, ...] = ()  # what the photos leave open, though nothing contradicts the result; for people
+    origin: Origin = AT_ZERO  # of the world, in the frame of given poses
 
     @property
     def status(self) -> str:
@@ -55,6 +57,7 @@ class Structure:
             "rigs": len(self.rigs),
             "world": plain(self.world),
             "cautions": list(self.cautions),
+            "origin": list(self.origin),
         }
         for k, rig in enumerate(self.rigs):
             rig.save(folder / f"rig_{k}.npz")
@@ -70,6 +73,7 @@ class Structure:
         header["rigs"] = tuple(RigPose.load(folder / f"rig_{k}.npz") for k in range(header["rigs"]))
         header["world"] = from_plain(header["world"])
         header["cautions"] = tuple(header.get("cautions", ()))  # older ones have none
+        header["origin"] = tuple(header.get("origin", AT_ZERO))
         header["diagnosis"] = Diagnosis.load(folder) if (folder / "diagnosis.json").is_file() else None
         with np.load(folder / "edges.npz", allow_pickle=False) as arrays:
             return Structure(Reconstruction.load(folder), **dict(arrays), **header)
