@@ -59,6 +59,7 @@ class Photos:
     given_note: str = ""  # where `given` comes from, or which poses lie beside the photos and were not used
     rigs: tuple[Rig, ...] = ()  # cameras that seem to have moved together
     origin: Origin = AT_ZERO  # of `given`, in the frame of the input
+    given_axes: str = "opencv"  # opencv or opengl: the camera axes that `given` was read with
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -88,6 +89,7 @@ class Photos:
             "given": self.given is not None,
             "given_note": self.given_note,
             "origin": self.origin,
+            "given_axes": self.given_axes,
             "rigs": [{"folders": rig.folders, "photos": rig.photos.tolist()} for rig in self.rigs],
         }
         (folder / "photos.json").write_text(json.dumps(header, indent=1))
@@ -104,4 +106,5 @@ class Photos:
             given_note=header["given_note"],
             rigs=tuple(Rig(tuple(r["folders"]), np.array(r["photos"], dtype=np.int64)) for r in header["rigs"]),
             origin=tuple(header.get("origin", AT_ZERO)),  # older ones have none
+            given_axes=header.get("given_axes", "opencv"),
         )
