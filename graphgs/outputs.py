@@ -5,6 +5,7 @@ import os
 import platform
 import shutil
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -34,6 +35,7 @@ from graphgs.memory import peak_rss_bytes
 from graphgs.pipeline import Posed, Run, Trained, partial_error
 from graphgs.scene.origin import AT_ZERO, describe
 from graphgs.stages import EVALUATION
+from graphgs.structure.given_verdict import FITS, LARGEST_MEDIAN, HeldPoses
 from graphgs.structure.pair_set import KIND_NAMES
 from graphgs.structure.result import Structure
 from graphgs.structure.rotation_only import LARGEST_TURNING_SHARE
@@ -94,6 +96,7 @@ def collect_metrics(run: Run, posed: Posed, made: Made | None, versions: dict[st
         "rigs": [rig.record() for rig in posed.structure.rigs],
         "world": plain(posed.structure.world),
         "origin": list(posed.structure.origin),
+        "given_poses": None if posed.held is None else posed.held.record(),
         "cautions": list(posed.structure.cautions),
         "skipped": {s.name: s.reason for s in posed.photos.skipped},
         "pairs_candidate": _pairs_tried(posed),
@@ -249,7 +252,7 @@ def _structure_figures(run: Run, posed: Posed) -> StructureFigures:
         checks.append(
             Check("largest camera shift", f"{shift:.2f} %", f"at most {limit:g} % of the scene", shift <= limit)
         )
-    checks += [Check(*check) for check in _soundness_checks(structure)]
+    checks += [Check(*check) for check in (*_soundness_checks(structure), *_given_checks(posed.held))]
     focals = ", ".join(sorted({f"{camera.focal_and_center[0]:.0f} px" for camera in model.cameras}))
     return StructureFigures(
         errors=model.errors,
@@ -273,6 +276,19 @@ def _soundness_checks(structure: Structure) -> list[tuple[str, str, str, bool]]:
         ("pairs explained by a turn on the spot", f"{100 * sound.rotation_share:.0f} %",
          f"below {100 * LARGEST_TURNING_SHARE:g} %", sound.rotation_share < LARGEST_TURNING_SHARE),
     ]  # fmt: skip
+
+
+def _given_checks(held: HeldPoses | None) -> Iterator[tuple[str, str, str, bool]]:
+    """Likewise, of given poses and the points that came with them."""
+    if held is None:
+        return
+    for figures, what in ((held.matches, "matches"), (held.observations, "observations of given points")):
+        if figures is not None:
+            yield (f"{what} that contradict the given poses", f"{100 * figures.contradicted:.1f} %",
+                   f"below {100 * FITS:g} %", figures.contradicted < FITS)  # fmt: skip
+            limit = figures.median_px / max(figures.median, 1e-12) * LARGEST_MEDIAN
+            yield (f"median distance of {what} from the given poses", f"{figures.median_px:.2f} px",
+                   f"at most {limit:.1f} px", figures.median <= LARGEST_MEDIAN)  # fmt: skip
 
 
 def _training_curve(made: Made) -> TrainingCurve:

@@ -8,7 +8,7 @@ and told in pixels of the photo, lens distortion undone. Three things make that 
 - the depth that the other photos give a feature: where each pair for itself would fit, as on a straight drive whose
   poses are permuted, the depths do not.
 
-A match that the turn between the poses alone explains (the homography at infinity, within `STILL`) fits, whatever the
+A match that the turn between the poses alone explains (the homography at infinity, within `FAR`) fits, whatever the
 baseline: where there is little parallax, the rotation is what can be tested.
 """
 
@@ -20,25 +20,24 @@ from graphgs.scene.reconstruction import Reconstruction
 from graphgs.structure.evidence import VerifiedMatches
 from graphgs.structure.undistort import image_rays
 
-# Of the longer side. Features found at 640 px are right to a pixel, .16 %, and verification lets pass .25 to .4 %: what
-# is 1 % off is neither. A pose that is off by as much (12 px of 1242) is of no use to training.
+_STEPS_PER_PX = 64  # in which positions of features are compared
+
+# Of the longer side. Features found at 640 px are right to a pixel, .16 %, and verification lets pass .25 % of 1600 px:
+# what is .5 % off is neither. Matches that move less cannot be told from matches at infinity.
 FAR = 0.005
-STILL = FAR  # a match that moves less cannot be told from one at infinity
+NOT_NEAR = 0.02  # further off than bundle adjustment, which begins with 8 px of 640 to 1600, can pull back
 
 
 @dataclass(frozen=True)
-class MatchErrors:
-    """How far each match is from what the poses expect of it."""
+class Errors:
+    """How far each of some observations is from what poses expect of it."""
 
-    pairs: np.ndarray  # [E, 2] int
-    pair_of: np.ndarray  # [M] int
-    error: np.ndarray  # [M] of the longer side; inf where the rays meet behind a camera
-    side_px: np.ndarray  # [M] longer side of the photo
+    error: np.ndarray  # [M] of the photo's longer side
+    side_px: np.ndarray  # [M] that side
 
-    @property
-    def contradicted(self) -> float:
-        """Share of the matches that contradict the poses."""
-        return float((self.error > FAR).mean()) if len(self.error) else 0.0
+    def further_than(self, limit: float) -> float:
+        """Share of the observations that are further off, as a share of the longer side."""
+        return float((self.error > limit).mean()) if len(self.error) else 0.0
 
     @property
     def median(self) -> float:
@@ -46,65 +45,97 @@ class MatchErrors:
         return float(np.median(self.error)) if len(self.error) else 0.0
 
     @property
-    def pair_median(self) -> np.ndarray:
-        """[E] of the longer side."""
-        order = np.lexsort((self.error, self.pair_of))
-        count = np.bincount(self.pair_of, minlength=len(self.pairs))
-        start = np.cumsum(count) - count
-        return self.error[order][start + count // 2] if len(order) else np.zeros(0)
+    def median_px(self) -> float:
+        return float(np.median(self.error * self.side_px)) if len(self.error) else 0.0
+
+
+@dataclass(frozen=True)
+class Sightings:
+    """Features that several photos matched, seen from one of them, with the distance that the poses give them."""
+
+    image: np.ndarray  # [K] int
+    ray: np.ndarray  # [K, 3] unit, in the camera frame
+    distance: np.ndarray  # [K] along it, world units
 
 
 class MatchedRays:
-    """The matches of a set of photos as unit rays: what does not depend on poses, only on intrinsics."""
+    """The matches of a set of photos as unit rays: what depends on intrinsics, not on poses."""
 
-    def __init__(self, model: Reconstruction, verified: VerifiedMatches):
-        """Pairs of `verified` count the names of `model`."""
+    def __init__(
+        self,
+        model: Reconstruction,
+        verified: VerifiedMatches,  # pairs count the names of `model`
+        sides_px: np.ndarray,  # [N] longer side of each photo, as its file has it
+    ):
         self.pairs, self.pair_of = verified.pairs, verified.pair_of
-        images = verified.pairs[self.pair_of]  # [M, 2]
-        self.images = images
-        self.xy = np.stack([verified.xy_i, verified.xy_j], axis=1)  # [M, 2, 2]
-        self.rays = np.stack([_unit_rays(model, images[:, k], self.xy[:, k]) for k in range(2)], axis=1)  # [M, 2, 3]
+        self.images = verified.pairs[self.pair_of]  # [M, 2]
+        xy = (verified.xy_i, verified.xy_j)
+        self.rays = np.stack([_unit_rays(model, self.images[:, k], xy[k]) for k in range(2)], axis=1)  # [M, 2, 3]
         focal = np.array([np.mean(camera.focal_and_center[:2]) for camera in model.cameras])[model.camera_ids]
         side = np.array([max(camera.width, camera.height) for camera in model.cameras])[model.camera_ids]
-        self.side_px = side[images].mean(1)
-        self.sides_per_rad = (focal / side)[images].mean(1)
-        ends = np.concatenate([images[:, :1], images[:, 1:]]), np.concatenate([self.xy[:, 0], self.xy[:, 1]])
-        keys = np.column_stack([ends[0], np.rint(ends[1] * 64)]).astype(np.int64)
+        self._sides_per_rad = (focal / side)[self.images].mean(1)
+        self._side_px = np.asarray(sides_px, float)[self.images].mean(1)
+        ends = np.concatenate([self.images[:, 0], self.images[:, 1]]), np.rint(np.concatenate(xy) * _STEPS_PER_PX)
+        keys = np.column_stack(ends).astype(np.int64)
         self.feature = np.unique(keys, axis=0, return_inverse=True)[1].reshape(2, -1).T  # [M, 2] int
 
-    def errors(self, model: Reconstruction) -> MatchErrors:
-        """Of every match, with the poses of `model` (whose intrinsics are those the rays were made with)."""
-        i, j = self.images.T
-        rotation = np.einsum("mab,mcb->mac", model.rotations[j], model.rotations[i])  # j from i
-        shift = model.translations[j] - np.einsum("mab,mb->ma", rotation, model.translations[i])
-        a, b = np.einsum("mab,mb->ma", rotation, self.rays[:, 0]), self.rays[:, 1]
-        turned = _angle(a, b) * self.sides_per_rad
-        missed = _sampson(a, b, shift) * self.sides_per_rad
-        depth_i, depth_j = _depths(a, b, shift)
-        met = np.where((depth_i > 0) & (depth_j > 0), missed, np.inf)
-        informative = (turned > STILL) & (met <= FAR)
-        other = self._against_the_rest(rotation, shift, depth_i, depth_j, turned, informative)
-        return MatchErrors(self.pairs, self.pair_of, np.maximum(np.minimum(turned, met), other), self.side_px)
+    def errors(self, poses: Reconstruction) -> Errors:
+        """Of every match. The intrinsics of `poses` are those the rays were made with."""
+        two = _TwoViews.of(poses, self)
+        expected = two.inverse_depths(self)
+        several = np.bincount(self.feature.ravel(), minlength=len(expected)) > 1
+        expected = np.where(several, expected, np.nan)[self.feature]  # [M, 2]
+        ahead = np.einsum("mab,mb->ma", two.rotation, self.rays[:, 0]) + expected[:, :1] * two.shift
+        back = np.einsum("mba,mb->ma", two.rotation, self.rays[:, 1] - expected[:, 1:] * two.shift)
+        # By the better of its two features: one may have its depth from wrong matches.
+        away = np.fmin(_angle(_unit(ahead), self.rays[:, 1]), _angle(_unit(back), self.rays[:, 0]))
+        against_the_rest = np.nan_to_num(away) * self._sides_per_rad
+        return Errors(np.maximum(np.minimum(two.turned, two.met), against_the_rest), self._side_px)
 
-    def _against_the_rest(self, rotation, shift, depth_i, depth_j, turned, informative) -> np.ndarray:
-        """[M] how far a match is from where the depth that most of a feature's matches give it puts it, by the better
-        of its two features; 0 where there is no such depth."""
-        both = np.concatenate([self.feature[:, 0], self.feature[:, 1]])
-        depths, weight = np.concatenate([depth_i, depth_j]), np.concatenate([turned, turned])
-        use = np.concatenate([informative, informative])
-        count = int(both.max(initial=-1)) + 1
-        inverse = _weighted_medians(both[use], 1.0 / depths[use], weight[use], count)
-        several = np.bincount(both, minlength=count) > 1
-        result = np.full(len(turned), np.inf)
-        for side in range(2):
-            rho = np.where(several, inverse, np.nan)[self.feature[:, side]]
-            if side == 0:
-                seen = np.einsum("mab,mb->ma", rotation, self.rays[:, 0]) + rho[:, None] * shift
-            else:
-                seen = np.einsum("mba,mb->ma", rotation, self.rays[:, 1] - rho[:, None] * shift)
-            away = _angle(seen / np.linalg.norm(seen, axis=1, keepdims=True), self.rays[:, 1 - side])
-            result = np.fmin(result, away * self.sides_per_rad)
-        return np.where(np.isinf(result), 0.0, result)
+    def pair_medians(self, errors: Errors) -> np.ndarray:
+        """[E] the median error of each pair's matches, of the longer side."""
+        order = np.lexsort((errors.error, self.pair_of))
+        count = np.bincount(self.pair_of, minlength=len(self.pairs))
+        return errors.error[order][np.cumsum(count) - count + count // 2]
+
+    def sightings(self, poses: Reconstruction) -> Sightings:
+        """The features that matches give a depth."""
+        inverse = _TwoViews.of(poses, self).inverse_depths(self)
+        first = np.unique(self.feature.ravel(), return_index=True)[1]  # an end of a match for every feature
+        known = first[np.isfinite(inverse)]
+        match, side = np.divmod(known, 2)
+        return Sightings(self.images[match, side], self.rays[match, side], 1.0 / inverse[np.isfinite(inverse)])
+
+
+@dataclass(frozen=True)
+class _TwoViews:
+    """What the poses of a pair make of each of its matches."""
+
+    rotation: np.ndarray  # [M, 3, 3] cam_j_from_cam_i
+    shift: np.ndarray  # [M, 3] likewise
+    turned: np.ndarray  # [M] how far the match is from one at infinity, of the longer side
+    met: np.ndarray  # [M] by how much the rays miss each other, likewise; inf if they meet behind a camera
+    depth_i: np.ndarray  # [M] along the ray of the first photo
+    depth_j: np.ndarray  # [M]
+
+    @staticmethod
+    def of(poses: Reconstruction, matched: MatchedRays) -> "_TwoViews":
+        i, j = matched.images.T
+        rotation = np.einsum("mab,mcb->mac", poses.rotations[j], poses.rotations[i])
+        shift = poses.translations[j] - np.einsum("mab,mb->ma", rotation, poses.translations[i])
+        a, b = np.einsum("mab,mb->ma", rotation, matched.rays[:, 0]), matched.rays[:, 1]
+        scale = matched._sides_per_rad
+        depth_i, depth_j = _depths(a, b, shift)
+        met = np.where((depth_i > 0) & (depth_j > 0), _sampson(a, b, shift) * scale, np.inf)
+        return _TwoViews(rotation, shift, _angle(a, b) * scale, met, depth_i, depth_j)
+
+    def inverse_depths(self, matched: MatchedRays) -> np.ndarray:
+        """[F] of every feature along its ray, the median over its matches by parallax; NaN where none has enough."""
+        known = (self.turned > FAR) & (self.met <= FAR)
+        features = np.concatenate([matched.feature[known, 0], matched.feature[known, 1]])
+        inverse = 1.0 / np.concatenate([self.depth_i[known], self.depth_j[known]])
+        count = int(matched.feature.max(initial=-1)) + 1
+        return _weighted_medians(features, inverse, np.tile(self.turned[known], 2), count)
 
 
 def _unit_rays(model: Reconstruction, images: np.ndarray, xy: np.ndarray) -> np.ndarray:
@@ -114,7 +145,11 @@ def _unit_rays(model: Reconstruction, images: np.ndarray, xy: np.ndarray) -> np.
     for camera_id in np.unique(camera_ids):
         rows = np.flatnonzero(camera_ids == camera_id)
         result[rows, :2] = image_rays(model.cameras[int(camera_id)], xy[rows])
-    return result / np.linalg.norm(result, axis=1, keepdims=True)
+    return _unit(result)
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-300)
 
 
 def _angle(a: np.ndarray, b: np.ndarray) -> np.ndarray:
