@@ -30,9 +30,10 @@ def usual_mistakes(
     other = _OTHER[axes]
     yield Mistake("with the cameras' y and z axes flipped", f"use --given-axes {other}", axes_flipped)
     way = f"--set sources.given_inverse={'false' if settings.given_inverse else 'true'}"
-    yield Mistake("inverted, as world-to-camera", f"use {way}", lambda poses: inverted(poses, axes))
+    exchanged = "inverted, camera-to-world and world-to-camera exchanged"
+    yield Mistake(exchanged, f"use {way}", lambda poses: inverted(poses, axes))
     yield Mistake(
-        f"inverted and with {other} axes",
+        f"{exchanged}, and with {other} axes",
         f"use {way} --given-axes {other}",
         lambda poses: inverted(axes_flipped(poses), other),
     )
