@@ -92,6 +92,17 @@ class MatchedRays:
         against_the_rest = np.nan_to_num(away) * self._sides_per_rad
         return Errors(np.maximum(np.minimum(two.turned, two.met), against_the_rest), self._side_px)
 
+    def astray(self, errors: Errors, limit: float) -> float:
+        """Share of the photos that no pair bears out: whose best pair has hardly half as many matches within `limit` as
+        the photo has in one pair. Where parts of a scene look alike, right poses are contradicted by many matches, but
+        every photo has neighbours that it fits; a photo with another's pose has none."""
+        ends = np.concatenate([self.pairs[:, 0], self.pairs[:, 1]])
+        count = int(ends.max(initial=-1)) + 1
+        most, fitting = np.zeros(count, np.int64), np.zeros(count, np.int64)
+        for result, rows in ((most, self.pair_of), (fitting, self.pair_of[errors.error <= limit])):
+            np.maximum.at(result, ends, np.tile(np.bincount(rows, minlength=len(self.pairs)), 2))
+        return float((2 * fitting < most)[most > 0].mean()) if most.any() else 0.0
+
     def pair_medians(self, errors: Errors) -> np.ndarray:
         """[E] the median error of each pair's matches, of the longer side."""
         order = np.lexsort((errors.error, self.pair_of))

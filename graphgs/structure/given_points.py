@@ -35,6 +35,18 @@ def track_errors(
     return Errors(np.fmin(error, BEHIND), np.asarray(sides_px, float)[images])
 
 
+def photos_astray(
+    model: Reconstruction,
+    errors: Errors,  # its `track_errors`
+    limit: float,
+) -> float:
+    """Share of the photos of which most observations are further off."""
+    images = model.track_images[_some(len(model.track_images))]
+    seen = np.bincount(images, minlength=len(model.names))
+    off = np.bincount(images[errors.error > limit], minlength=len(model.names))
+    return float((2 * off > seen)[seen > 0].mean())
+
+
 def share_misplaced(
     model: Reconstruction,
     sightings: Sightings,  # features of its photos

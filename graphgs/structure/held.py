@@ -1,5 +1,6 @@
 """Poses that came with the input, held against the photos before anything is built on them."""
 
+import functools
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +12,12 @@ from graphgs.sources.photos import Photos
 from graphgs.structure.config import StructureConfig
 from graphgs.structure.evidence import VerifiedMatches
 from graphgs.structure.feature_cache import FeatureCache
-from graphgs.structure.given_evidence import Errors, MatchedRays
+from graphgs.structure.given_evidence import MatchedRays
 from graphgs.structure.given_matches import independent_matches
 from graphgs.structure.given_mistakes import Mistake, usual_mistakes
-from graphgs.structure.given_points import share_misplaced, track_errors
+from graphgs.structure.given_points import photos_astray, share_misplaced, track_errors
 from graphgs.structure.given_sample import sample, sampled
-from graphgs.structure.given_verdict import FITS, MISPLACED, REFUSED_MISPLACED, Figures, HeldPoses, Verdict
+from graphgs.structure.given_verdict import ASTRAY, FITS, MISPLACED, REFUSED_MISPLACED, Figures, HeldPoses, Verdict
 
 _MUCH_BETTER = 0.5  # of what contradicts the poses, at most, with a mistake undone that is named as the cause
 _NEAR = "use --poses refine, which adjusts them to the photos"
@@ -66,7 +67,7 @@ class _Evidence:
         model = self._given.of_images(self._chosen)
         matched = MatchedRays(model, self._verified, self._sides)
         errors = matched.errors(model)
-        matches, observations = Figures.of(errors), Figures.of(track_errors(model, self._sides))
+        matches, observations = Figures.of(errors, matched.astray), self._observed(model)
         medians = matched.pair_medians(errors)[np.bincount(matched.pair_of, minlength=len(matched.pairs)) > 0]
         judge = matches or observations
         poses: Verdict = "open" if judge is None else judge.verdict(to_refine=not self._keeps_points)
@@ -90,15 +91,21 @@ class _Evidence:
         )
 
     def _best(self, mistakes: list[Mistake], judge: Figures) -> Mistake | None:
-        """The mistake that, undone, leaves least to contradict the poses; None unless they fit then."""
-        shares = [self._without(mistake).contradicted for mistake in mistakes]
-        best = int(np.argmin(shares))
-        return mistakes[best] if shares[best] < min(FITS, _MUCH_BETTER * judge.contradicted) else None
+        """The mistake that, undone, leaves least to contradict the poses; None unless they fit then, or nearly every
+        photo finds its neighbours where hardly one did."""
+        found = [self._without(mistake) for mistake in mistakes]
+        best = min(range(len(found)), key=lambda k: found[k].contradicted)
+        fits = found[best].contradicted < min(FITS, _MUCH_BETTER * judge.contradicted)
+        return mistakes[best] if fits or (found[best].repeated and judge.astray > 1 - ASTRAY) else None
 
     def _without(self, mistake: Mistake) -> Figures:
         model = mistake.undo(self._given).of_images(self._chosen)
-        errors: Errors = MatchedRays(model, self._verified, self._sides).errors(model)
-        return Figures.of(errors) or Figures.of(track_errors(model, self._sides))
+        matched = MatchedRays(model, self._verified, self._sides)
+        return Figures.of(matched.errors(model), matched.astray) or self._observed(model)
+
+    def _observed(self, model: Reconstruction) -> Figures | None:
+        errors = track_errors(model, self._sides)
+        return Figures.of(errors, functools.partial(photos_astray, model))
 
     def _points(
         self,
@@ -124,7 +131,7 @@ def _mend(mistake: Mistake | None, poses: Verdict, points: Verdict, judge: Figur
     if mistake is not None:
         return mistake.mend
     if poses in ("doubtful", "refused"):
-        return _NEAR if judge.far_off < FITS else _ELSEWHERE
+        return _NEAR if judge.far_off < FITS else "" if judge.verdict() == "doubtful" and judge.repeated else _ELSEWHERE
     return _DROP if points in ("doubtful", "refused") else ""
 
 

@@ -8,12 +8,15 @@ from scipy.spatial.transform import Rotation
 
 from graphgs.errors import DataError
 from graphgs.progress import Reporter
+from graphgs.scene.camera import Camera
+from graphgs.scene.reconstruction import Reconstruction
 from graphgs.sources import SourcesConfig, load_photos
 from graphgs.structure.config import StructureConfig
 from graphgs.structure.given_verdict import HeldPoses
 from graphgs.structure.held import hold_given
 from graphgs.synth.street import StreetConfig, write_street
 from graphgs.workspace import digest
+from tests.support.corner_scene import FOCAL, HEIGHT, WIDTH
 from tests.support.given_poses import (
     colmap_project,
     kitti_rows,
@@ -22,6 +25,7 @@ from tests.support.given_poses import (
     without_tracks,
     written_as_camera_to_world,
 )
+from tests.support.hard_scenes import as_photos, house_row
 
 
 @pytest.fixture(scope="module")
@@ -172,6 +176,32 @@ def test_poses_that_are_nearly_right_are_used_with_a_caution_or_refined(street, 
     near = held(source, poses="refine")
     assert near.verdict == "fits"
     assert near.cautions == ()
+
+
+def test_right_poses_among_alike_houses_are_not_refused(tmp_path):
+    """Two thirds of the matches are between houses that look alike; but every photo fits its neighbours."""
+    shots = house_row(houses=4, gap=2.0, count=24)
+    photos = as_photos(tmp_path / "photos", shots.images)
+
+    def held(rotations: np.ndarray, centers: np.ndarray) -> HeldPoses:
+        given = Reconstruction(
+            cameras=(Camera.pinhole(WIDTH, HEIGHT, FOCAL, FOCAL, WIDTH / 2, HEIGHT / 2),),
+            names=photos.names,
+            camera_ids=np.zeros(len(photos.names), np.int64),
+            rotations=rotations,
+            translations=-np.einsum("nij,nj->ni", rotations, centers),
+        )
+        run = {"scratch": tmp_path / "held", "reporter": Reporter(), "threads": 1}
+        return hold_given(StructureConfig(), SourcesConfig(), dataclasses.replace(photos, given=given), **run)
+
+    right = held(shots.rotations, shots.centers)
+    assert right.matches.contradicted > 0.5
+    assert right.verdict == "doubtful"
+    assert "parts of the scene look alike" in right.cautions[0]
+    flipped = held(np.diag([1.0, -1.0, -1.0]) @ shots.rotations, shots.centers)
+    assert "y and z axes flipped" in refused(flipped).message
+    shuffled = np.random.default_rng(0).permutation(len(photos.names))
+    assert "they fit" not in refused(held(shots.rotations[shuffled], shots.centers[shuffled])).message
 
 
 def test_wrong_axes_are_named_before_poses_are_refined(street, held, tmp_path):
