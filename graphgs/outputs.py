@@ -98,6 +98,7 @@ def collect_metrics(run: Run, posed: Posed, made: Made | None, versions: dict[st
         "origin": list(posed.structure.origin),
         "given_poses": None if posed.held is None else posed.held.record(),
         "cautions": list(posed.structure.cautions),
+        "lenses": _lenses(posed.structure),
         "skipped": {s.name: s.reason for s in posed.photos.skipped},
         "pairs_candidate": _pairs_tried(posed),
         "pairs_exhaustive": n * (n - 1) // 2,
@@ -246,21 +247,37 @@ def _structure_figures(run: Run, posed: Posed) -> StructureFigures:
             ("pairwise rotation change, median", agreed.rotation_median_deg, limits.max_rotation_median_deg),
             ("pairwise rotation change, 99th percentile", agreed.rotation_p99_deg, limits.max_rotation_p99_deg),
         ):
-            checks.append(Check(name, f"{value:.2f}°", f"below {limit:g}°", value < limit))
+            passed = value < limit or structure.upheld is not None
+            checks.append(Check(name, f"{value:.2f}°", f"below {limit:g}°", passed))
         shift = 100 * agreed.largest_shift
         limit = 100 * limits.max_camera_shift
+        passed = shift <= limit or structure.upheld is not None
+        checks.append(Check("largest camera shift", f"{shift:.2f} %", f"at most {limit:g} % of the scene", passed))
+    if structure.upheld is not None:
+        place = structure.upheld
         checks.append(
-            Check("largest camera shift", f"{shift:.2f} %", f"at most {limit:g} % of the scene", shift <= limit)
-        )
+            Check(f"scale {place.where}, which the other reconstruction has otherwise", f"{place.ratio:.3f}",
+                  "1 within 3 %, by points placed from either side alone", True)
+        )  # fmt: skip
     checks += [Check(*check) for check in (*_soundness_checks(structure), *_given_checks(posed.held))]
-    focals = ", ".join(sorted({f"{camera.focal_and_center[0]:.0f} px" for camera in model.cameras}))
+    calibration = structure.calibration
+    focals = ", ".join(dict.fromkeys(f"{camera.focal_and_center[0]:.0f} px" for camera in model.cameras))
     return StructureFigures(
         errors=model.errors,
         track_lengths=model.track_lengths,
         method=structure.method,
-        focal=focals,
+        focal=focals if calibration is None else calibration.describe(),
         checks=tuple(checks),
     )
+
+
+def _lenses(structure: Structure) -> dict[str, Any]:
+    """The cameras as they came out, and what the photos determined of them."""
+    found = {"cameras": [dataclasses.asdict(camera) for camera in structure.reconstruction.cameras]}
+    if structure.calibration is None:
+        return found
+    record = structure.calibration.record()
+    return found | {"determined": list(record["refine"]), "held": record["held"], "steps": record["steps"]}
 
 
 def _soundness_checks(structure: Structure) -> list[tuple[str, str, str, bool]]:

@@ -16,6 +16,8 @@ def scene_lines(facts: dict[str, Any]) -> Iterator[str]:
     if any(facts["origin"]):
         place = ", ".join(f"{v:.15g}" for v in facts["origin"])
         yield f"  positions are relative to ({place}) in the frame of the given poses"
+    if facts["lenses"]:
+        yield f"lenses: {facts['lenses']}"
     yield from _sureness(facts)
     yield from _groups(facts["groups"])
     unused = facts["left_out"] + facts["skipped"]

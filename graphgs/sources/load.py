@@ -169,6 +169,7 @@ def describe_photo(config: SourcesConfig, name: str, index: int, header: Header,
         time=exif.time,
         exif_readable=exif.readable,
         orientation=exif.orientation,
+        focal_given=config.focal_px is not None,
     )
 
 

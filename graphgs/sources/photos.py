@@ -32,6 +32,7 @@ class Photo:
     time: float | None  # [s] the camera's own clock at capture, read as if it were UTC
     exif_readable: bool = True  # False: damaged EXIF, so taken as upright, without focal length and position
     orientation: int = 1  # EXIF orientation the file had; the decoded pixels are upright
+    focal_given: bool = False  # the focal length is from a setting: exact, where EXIF rounds
 
     @property
     def stored_size(self) -> tuple[int, int]:

@@ -9,8 +9,6 @@ from graphgs.scene.reconstruction import Reconstruction
 from graphgs.sources.photos import Photos
 from graphgs.structure.focal import TYPICAL_FOCAL
 
-_FEW_PHOTOS = 8  # fewer photos of one camera do not determine a second distortion term
-
 
 @dataclasses.dataclass(frozen=True)
 class SharedCameras:
@@ -55,28 +53,16 @@ def rescaled(cameras: SharedCameras, scale: float) -> SharedCameras:
     return dataclasses.replace(cameras, cameras=tuple(changed), known=(True,) * len(changed))
 
 
-def refined_by(cameras: SharedCameras, photos: Photos, reconstruction: Reconstruction | None) -> SharedCameras:
-    """The same cameras with the intrinsics of a reconstruction of these photos, where it has them."""
-    if reconstruction is None:
-        return cameras
-    row = {name: k for k, name in enumerate(reconstruction.names)}
-    refined, known = list(cameras.cameras), list(cameras.known)
-    for photo, camera in zip(photos.photos, cameras.camera_ids, strict=True):
-        if photo.name in row:
-            refined[camera], known[camera] = reconstruction.camera_of(row[photo.name]), True
-    return dataclasses.replace(cameras, cameras=tuple(refined), known=tuple(known))
-
-
-def with_second_term(cameras: SharedCameras) -> SharedCameras:
-    """RADIAL in place of SIMPLE_RADIAL for cameras that took enough photos: halves the position error of a phone."""
-    photos = np.bincount(cameras.camera_ids, minlength=len(cameras.cameras))
-    extended = [
-        Camera("RADIAL", camera.width, camera.height, (*camera.params, 0.0))
-        if camera.model == "SIMPLE_RADIAL" and count >= _FEW_PHOTOS
-        else camera
-        for camera, count in zip(cameras.cameras, photos, strict=True)
-    ]
-    return dataclasses.replace(cameras, cameras=tuple(extended))
+def with_lenses(
+    cameras: SharedCameras, photos: Photos, model: Reconstruction, lenses: tuple[Camera, ...]
+) -> SharedCameras:
+    """The cameras with the lenses of a model of these photos, where it has them, as known ones."""
+    row = {name: k for k, name in enumerate(photos.names)}
+    changed, known = list(cameras.cameras), list(cameras.known)
+    for name, own in zip(model.names, model.camera_ids, strict=True):
+        camera = int(cameras.camera_ids[row[name]])
+        changed[camera], known[camera] = lenses[int(own)], True
+    return dataclasses.replace(cameras, cameras=tuple(changed), known=tuple(known))
 
 
 def with_cameras(reconstruction: Reconstruction, cameras: SharedCameras, names: tuple[str, ...]) -> Reconstruction:

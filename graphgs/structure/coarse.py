@@ -5,6 +5,7 @@ too few photos it is tried again with another seed and intrinsics held, then wit
 where they are installed, with learned matches.
 """
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,8 @@ import numpy as np
 from graphgs.errors import DataError
 from graphgs.progress import Reporter
 from graphgs.sources.photos import Photos
-from graphgs.structure.cameras import refined_by, with_cameras, with_second_term
+from graphgs.structure.calibration.lens import opened
+from graphgs.structure.cameras import with_cameras, with_lenses
 from graphgs.structure.coarse_attempt import Attempt, Found, run_attempt
 from graphgs.structure.colmap import ColmapWorker
 from graphgs.structure.config import StructureConfig
@@ -62,9 +64,8 @@ def coarse_poses(
     if best.placed < 3:
         raise _hopeless(photos, best.edges)
     reporter.info(f"coarse poses: {best.note}")
-    cameras = refined_by(best.cameras, photos, best.reconstruction)
-    if not best.hold_intrinsics:
-        cameras = with_second_term(cameras)
+    cameras = with_lenses(best.cameras, photos, best.reconstruction, best.reconstruction.cameras)
+    cameras = dataclasses.replace(cameras, cameras=tuple(opened(c, best.refine) for c in cameras.cameras))
     reconstruction = with_cameras(best.reconstruction, cameras, photos.names)
     placed, rotations, centers = poses_by_name(photos.names, reconstruction)
     return Prior(
@@ -73,8 +74,7 @@ def coarse_poses(
         rotations=rotations,
         centers=centers,
         cameras=cameras,
-        hold_intrinsics=best.hold_intrinsics,
-        focal_open=best.focal_open,
+        refine=best.refine,
         source="auto",
         note=best.note,
         reconstruction=reconstruction,

@@ -10,7 +10,11 @@ from graphgs.progress import Reporter
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.sources.photos import Photos
 from graphgs.sources.rigs import Rig
-from graphgs.structure.cameras import SharedCameras, rescaled, shared_cameras
+from graphgs.structure.calibration.lens import refinements, undistorted
+from graphgs.structure.calibration.opening import self_calibrate
+from graphgs.structure.calibration.starts import largest_move, lens_starts, wide_open
+from graphgs.structure.calibration.trials import Trials
+from graphgs.structure.cameras import SharedCameras, rescaled, shared_cameras, with_lenses
 from graphgs.structure.colmap import ColmapWorker
 from graphgs.structure.config import StructureConfig
 from graphgs.structure.contradictions import support_of
@@ -18,7 +22,6 @@ from graphgs.structure.database import by_photo_names, create_database
 from graphgs.structure.evidence import VerifiedMatches, read_verified
 from graphgs.structure.feature_cache import FeatureCache
 from graphgs.structure.features import extract_features, load_descriptors
-from graphgs.structure.focal_held import held_note, is_observable
 from graphgs.structure.focal_vote import vote_of_pairs
 from graphgs.structure.learned import learned_features, learned_matches
 from graphgs.structure.retrieval import similar_photos
@@ -64,6 +67,10 @@ _RETRIEVAL_DEPTH = 20  # look-alikes kept per photo, for bridges later
 _LARGEST_DRIFT = 1.6  # a focal length that mapping changed by more is a sign of a broken model
 _OTHER_GUESSES = (0.72, 1.39)  # of the typical focal length, where the photos leave it open: 19 and 36 mm equivalent
 _FURTHER_SEEDS = (100, 200)  # offsets, tried where a mapping is contradicted
+_FAR_MOVE = 0.03  # of a focal length, or of the distortion at the corner: poses found with the other one are bent
+_MOST_REMAPPINGS = 2
+_STRAIGHTENING = {"max_error_px": 4.0, "min_angle_deg": 1.5, "loss": "CAUCHY", "loss_scale_px": 1.0, "tolerance": 1e-5}
+_EXPLAINED_PX = 2.0  # an observation further off counts for nothing
 _ABOUT_AS_MANY = 0.98  # of the photos that the best mapping places
 
 
@@ -81,12 +88,11 @@ class Found:
     """What an attempt brought."""
 
     reconstruction: Reconstruction | None
-    cameras: SharedCameras  # that mapping started from
-    hold_intrinsics: bool
+    cameras: SharedCameras
+    refine: tuple[str, ...]  # parameters of the lenses that the photos determine
     similar: np.ndarray  # [N, k] look-alikes
     edges: np.ndarray  # [E, 2] verified
     note: str
-    focal_open: bool = False  # the photos do not show their focal length
 
     @property
     def placed(self) -> int:
@@ -153,50 +159,122 @@ def run_attempt(
     if vote.flat and not all(shared_cameras(photos).known):
         guesses += [rescaled(shared_cameras(photos), scale) for scale in _OTHER_GUESSES]
     run = (worker, work, reporter, threads)
-    found, cameras = _best_mapping(photos, guesses, attempt, hold, *run)
-    if found is not None and not (hold or vote.decided):
-        hold = not _observable(worker, work / _model_name(attempt, 0, hold=False), attempt, reporter, threads)
-        if hold:
-            found, cameras = _best_mapping(photos, guesses, attempt, hold, *run)
+    found = _best_mapping(photos, guesses, attempt, hold, *run)
+    refine = wide_open(cameras)
     if found is not None:
-        found, cameras = _less_contradicted(photos, found, guesses, cameras, attempt, hold, *run)
-    placed = 0 if found is None else len(found.names)
+        found = _less_contradicted(photos, found, guesses, attempt, hold, *run)
+        if not vote.decided:
+            found, refine = _with_lens(photos, found, attempt, *run)
+    placed = 0 if found is None else len(found.model.names)
     reporter.event("coarse_attempt", **dataclasses.asdict(attempt), pairs=len(pairs), edges=len(edges), placed=placed)
     by = " by learned matches" if attempt.learned else ""
     note = f"own reconstruction at {attempt.max_side} px{by} places {placed} of {n} photos"
-    focal_open = hold and not vote.decided
-    if focal_open:
-        note += f"; {held_note(cameras, shared_cameras(photos).known)}"
-    return Found(found, cameras, hold, similar, edges, note, focal_open)
+    if found is None:
+        return Found(None, cameras, refine, similar, edges, note)
+    return Found(found.model, found.cameras, refine, similar, edges, note)
+
+
+@dataclass(frozen=True)
+class _Mapped:
+    model: Reconstruction  # by photo names
+    cameras: SharedCameras  # that mapping started from
+    folder: Path  # of the same model, by pixel files
+
+
+def _with_lens(
+    photos: Photos,
+    found: _Mapped,
+    attempt: Attempt,
+    worker: ColmapWorker,
+    work: Path,
+    reporter: Reporter,
+    threads: int,
+) -> tuple[_Mapped, tuple[str, ...]]:
+    """The mapping with the lenses that its photos speak for, and what they determine of them. Where a focal length
+    moved far, it is mapped anew: poses that were found with a wrong one are bent."""
+    best, refine, most = found, (), -np.inf
+    for turn in range(_MOST_REMAPPINGS + 1):
+        trials = Trials(worker, found.folder, work / f"{found.folder.name}_lens", attempt.seed, threads)
+        own = Reconstruction.load(found.folder)
+        starts = lens_starts(photos, found.model, tuple(undistorted(camera) for camera in own.cameras))
+        calibration, _ = self_calibrate(trials, own, starts, seed=attempt.seed)
+        adjusted, _ = trials.run("adjusted", calibration.cameras, calibration.refine)
+        folder = work / f"{found.folder.name}_straight"
+        straight = _straightened(adjusted, calibration.refine, attempt, worker, work, folder, threads)
+        moved, explained = largest_move(own.cameras, calibration.cameras), _explained(straight)
+        reporter.event("coarse_lens", turn=turn, moved=moved, explained=explained, **calibration.record())
+        model = by_photo_names(straight, photos)
+        if explained > most:
+            cameras = with_lenses(found.cameras, photos, model, model.cameras)
+            best, refine, most = _Mapped(model, cameras, folder), calibration.refine, explained
+        if moved <= _FAR_MOVE:
+            break
+        cameras = with_lenses(found.cameras, photos, model, model.cameras)
+        other = _mapped(photos, cameras, attempt, f"turn{turn}", True, worker, work, reporter, threads)
+        if other is None or len(other.model.names) < _ABOUT_AS_MANY * len(found.model.names):
+            break
+        found = other
+    return best, refine
+
+
+def _straightened(
+    adjusted: Reconstruction,  # by pixel files
+    refine: tuple[str, ...],
+    attempt: Attempt,
+    worker: ColmapWorker,
+    work: Path,
+    folder: Path,  # for the model
+    threads: int,
+) -> Reconstruction:
+    """The matches triangulated anew from poses that another lens has moved: many did not fit before."""
+    if not folder.exists():
+        adjusted.save(work / f"{folder.name}_from")
+        worker.run(
+            "triangulate",
+            database=work / "database.db",
+            poses=work / f"{folder.name}_from",
+            out=folder,
+            rounds=[_STRAIGHTENING],
+            refine=["poses", *refinements(refine)],
+            seed=attempt.seed,
+            threads=threads,
+        )
+    return Reconstruction.load(folder)
+
+
+def _explained(model: Reconstruction) -> float:
+    """What a model makes of its photos: every observation counts the more, the better it fits. A broken model explains
+    less than a bent one that bundle adjustment straightened, though its errors may be as small."""
+    errors = np.repeat(model.errors, model.track_lengths)
+    return float(np.maximum(1.0 - (errors / _EXPLAINED_PX) ** 2, 0.0).sum())
 
 
 def _less_contradicted(
     photos: Photos,
-    found: Reconstruction,
+    found: _Mapped,
     guesses: list[SharedCameras],
-    cameras: SharedCameras,
     attempt: Attempt,
     hold: bool,
     worker: ColmapWorker,
     work: Path,
     reporter: Reporter,
     threads: int,
-) -> tuple[Reconstruction, SharedCameras]:
+) -> _Mapped:
     """Where its own matches contradict the mapping that was found (`contradictions`), it broke or folded: then other
     seeds are tried, and the mapping that is contradicted least is taken."""
     verified = read_verified(work / "database.db")
-    best, least = (found, cameras), _contradiction(found, photos, verified)
+    best, least = found, _contradiction(found.model, photos, verified)
     for offset in _FURTHER_SEEDS:
         if least < LARGEST_STRENGTH:
             break
         another = dataclasses.replace(attempt, seed=attempt.seed + offset)
-        other, its_cameras = _best_mapping(photos, guesses, another, hold, worker, work, reporter, threads)
-        if other is None or len(other.names) < _ABOUT_AS_MANY * len(best[0].names):
+        other = _best_mapping(photos, guesses, another, hold, worker, work, reporter, threads)
+        if other is None or len(other.model.names) < _ABOUT_AS_MANY * len(best.model.names):
             continue
-        strength = _contradiction(other, photos, verified)
+        strength = _contradiction(other.model, photos, verified)
         reporter.event("coarse_again", seed=another.seed, contradiction=strength, before=least)
         if strength < least:
-            best, least = (other, its_cameras), strength
+            best, least = other, strength
     return best
 
 
@@ -215,48 +293,58 @@ def _best_mapping(
     work: Path,
     reporter: Reporter,
     threads: int,
-) -> tuple[Reconstruction | None, SharedCameras]:
+) -> _Mapped | None:
     """The mapping that places the most photos, and among those that place about as many the one with the least error:
     far off the true focal length a turn of the road bends wrongly, and the error grows by a quarter."""
     results = []
     for k, cameras in enumerate(guesses):
-        model = work / _model_name(attempt, k, hold=hold)
-        if not model.exists():
-            worker.run("set_cameras", database=work / "database.db", cameras=cameras.records())
-            worker.run(
-                "map_incrementally",
-                progress=lambda done, total: reporter.progress(done, total, "coarse mapping"),
-                database=work / "database.db",
-                out=model,
-                start=None,
-                options=_HELD if hold else _MAPPING,
-                seed=attempt.seed,
-                threads=threads,
-            )
-        if not model.exists():
-            continue
-        found = by_photo_names(Reconstruction.load(model), photos)
-        drift = _drift(found, cameras, photos)
-        error = float(found.errors.mean()) if len(found.errors) else np.inf
-        reporter.event("coarse_mapping", guess=k, placed=len(found.names), error_px=error, drift=drift)
-        if drift <= _LARGEST_DRIFT:
-            results.append((found, cameras, error))
+        found = _mapped(photos, cameras, attempt, str(k), hold, worker, work, reporter, threads)
+        if found is not None:
+            results.append(found)
     if not results:
-        return None, guesses[0]
-    most = max(len(found.names) for found, _, _ in results)
-    even = [result for result in results if len(result[0].names) >= _ABOUT_AS_MANY * most]
-    found, cameras, _ = min(even, key=lambda result: result[2])
-    return found, cameras
+        return None
+    most = max(len(found.model.names) for found in results)
+    even = [found for found in results if len(found.model.names) >= _ABOUT_AS_MANY * most]
+    return min(even, key=lambda found: _mean_error(found.model))
 
 
-def _observable(worker: ColmapWorker, model: Path, attempt: Attempt, reporter: Reporter, threads: int) -> bool:
-    observable, rise = is_observable(worker, model, seed=attempt.seed, threads=threads)
-    reporter.event("focal_response", observable=observable, rise=rise)
-    return observable
+def _mapped(
+    photos: Photos,
+    cameras: SharedCameras,  # intrinsics to start from
+    attempt: Attempt,
+    label: str,
+    hold: bool,
+    worker: ColmapWorker,
+    work: Path,
+    reporter: Reporter,
+    threads: int,
+) -> _Mapped | None:
+    """A mapping from nothing; None where there is none, or where it drifted away from the focal lengths it started
+    from."""
+    model = work / f"model_{attempt.seed}_{label}{'_held' if hold else ''}"
+    if not model.exists():
+        worker.run("set_cameras", database=work / "database.db", cameras=cameras.records())
+        worker.run(
+            "map_incrementally",
+            progress=lambda done, total: reporter.progress(done, total, "coarse mapping"),
+            database=work / "database.db",
+            out=model,
+            start=None,
+            options=_HELD if hold else _MAPPING,
+            seed=attempt.seed,
+            threads=threads,
+        )
+    if not model.exists():
+        return None
+    found = by_photo_names(Reconstruction.load(model), photos)
+    drift = _drift(found, cameras, photos)
+    reporter.event("coarse_mapping", name=label, placed=len(found.names), error_px=_mean_error(found), drift=drift)
+    return _Mapped(found, cameras, model) if drift <= _LARGEST_DRIFT else None
 
 
-def _model_name(attempt: Attempt, guess: int, *, hold: bool) -> str:
-    return f"model_{attempt.seed}_{guess}{'_held' if hold else ''}"
+def _mean_error(model: Reconstruction) -> float:
+    """[px]"""
+    return float(model.errors.mean()) if len(model.errors) else np.inf
 
 
 def _drift(found: Reconstruction, start: SharedCameras, photos: Photos) -> float:

@@ -12,6 +12,7 @@ from graphgs.scene.covisibility import shared_points
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.sources.photos import Photos
 from graphgs.structure.acceptance import agreement
+from graphgs.structure.calibration.starts import wide_open
 from graphgs.structure.colmap import ColmapWorker
 from graphgs.structure.colors import colored
 from graphgs.structure.components import components
@@ -71,7 +72,7 @@ def map_given(
     with ColmapWorker(scratch) as worker:
         if refine:
             vote = vote_of_pairs(worker, matches.database, scratch, prior.cameras)
-            prior = dataclasses.replace(prior, hold_intrinsics=vote.flat)
+            prior = dataclasses.replace(prior, refine=() if vote.flat else wide_open(prior.cameras))
         calls = ModelCalls(config, photos, matches, prior, worker, scratch, reporter, threads, seed)
         model = calls.triangulated(given, "refined") if refine else calls.triangulated_only(given, "triangulated")
         reporter.event("worker", stage="mapping", peak_rss_mb=round(worker.peak_rss_mb))
@@ -107,7 +108,7 @@ def map_given(
 
 
 def _refined(prior: Prior) -> str:
-    held = "; intrinsics kept, for the photos do not determine the focal length" if prior.hold_intrinsics else ""
+    held = "; intrinsics kept, for the photos do not determine the focal length" if not prior.refine else ""
     return f"poses of the input, refined{held}"
 
 

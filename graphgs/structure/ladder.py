@@ -1,8 +1,10 @@
 """The ladder of reconstructions: a step is tried only where none before it was accepted.
 
-1. Triangulate the fine matches from the coarse poses, then two rounds of bundle adjustment and filtering.
+1. Triangulate the fine matches from the coarse poses, then two rounds of bundle adjustment and filtering, between which
+   the photos are asked what they say of their lenses (`calibrated`).
 2. Photos the coarse reconstruction missed: COLMAP's incremental mapper with the poses of 1 held, then 1 from its poses.
-3. The incremental mapper from nothing on the same sparse graph, with two seeds, then 1 from its poses.
+3. The incremental mapper from nothing on the same sparse graph, then 1 from its poses. Where it does not agree with the
+   coarse reconstruction either, twice more from disjoint halves of the tracks, which share nothing but the photos.
 4. More pairs (twice the nearest cameras, all look-alikes), and 1 to 3 again.
 5. Where EXIF tells the focal length of every photo: a global reconstruction (GLOMAP, which failed 2 of 8 times), then 1
    from its poses.
@@ -14,12 +16,15 @@ from dataclasses import dataclass
 
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.structure.acceptance import Agreement, agreement
+from graphgs.structure.calibrated import calibrated
 from graphgs.structure.contradictions import PairSupport
+from graphgs.structure.halves import models_of_halves
 from graphgs.structure.model_calls import ModelCalls
 from graphgs.structure.more_pairs import every_pair, wider_pairs, with_more_pairs
+from graphgs.structure.scale_across import ScaleAcross
 from graphgs.structure.soundness import Soundness
+from graphgs.structure.weak_places import disagreement, weak_places
 
-_ANOTHER_SEED = 1000  # offset
 _COMMON_SHARE = 0.5  # agreement on fewer of the photos says nothing about the rest
 _MOST_FOR_EVERY_PAIR = 150  # photos
 
@@ -38,7 +43,14 @@ class Candidate:
     accepted: bool
     soundness: Soundness
     support: PairSupport
+    places: tuple[ScaleAcross, ...] = ()  # the weakest of it
+    upheld: ScaleAcross | None = None  # the place where it was believed against the other reconstruction
     free: Reconstruction | None = None  # before its rigs became rigid
+
+    @property
+    def sound(self) -> bool:
+        """Nothing speaks against it but, perhaps, that photos are missing."""
+        return not self.soundness.doubts and not any(place.is_open for place in self.places)
 
     @property
     def rank(self) -> tuple[bool, int]:
@@ -61,22 +73,22 @@ def climb(calls: ModelCalls, coarse: Reconstruction | None) -> Candidate | None:
 
 
 def _climb(ladder: "_Ladder", calls: ModelCalls) -> None:
-    if ladder.steps(calls, ""):
+    if ladder.steps(calls, "", more_pairs_follow=True):
         return
     wider = with_more_pairs(calls, "4_more_pairs", wider_pairs(calls.prior))
-    if wider is not None and ladder.steps(wider, ", more pairs"):
+    most, note = (calls, "") if wider is None else (wider, ", more pairs")
+    if ladder.steps(most, note, more_pairs_follow=False):
         return
-    most = wider or calls
     if all(photo.focal_px for photo in calls.photos.photos):
         model = most.globally("5_global")
         if model is not None:
-            model = most.triangulated(model, "5_adjusted")
+            most, model = calibrated(most, model, "5_adjusted")
         if ladder.judge(most, model, "5_adjusted", "global, focal lengths known"):
             return
     if len(calls.photos.photos) <= _MOST_FOR_EVERY_PAIR:
         everything = with_more_pairs(most, "6_every_pair", every_pair(calls.prior))
         if everything is not None:
-            ladder.steps(everything, ", every pair")
+            ladder.steps(everything, ", every pair", more_pairs_follow=False)
 
 
 class _Ladder:
@@ -102,32 +114,48 @@ class _Ladder:
                 self.best = found
         return self.best is not None and self.best.accepted
 
-    def steps(self, calls: ModelCalls, note: str) -> bool:
-        """Steps 1 to 3 on the matches of `calls`."""
+    def steps(self, calls: ModelCalls, note: str, *, more_pairs_follow: bool) -> bool:
+        """Steps 1 to 3 on the matches of `calls`. Step 3 waits where nothing is wrong with the poses but that too few
+        photos have one: then more pairs help, and another way of mapping does not."""
         first = None
         if self._coarse is not None:
-            first = calls.triangulated(self._coarse, "1_triangulated")
+            calls, first = calibrated(calls, self._coarse, "1_triangulated")
             if self.judge(calls, first, "1_triangulated", f"triangulated from coarse poses{note}"):
                 return True
         if first is not None and len(first.names) < len(calls.matches.component):
             extended = calls.incremental("2_extended", start="1_triangulated")
             if extended is not None:
-                extended = calls.triangulated(extended, "2_adjusted")
+                calls, extended = calibrated(calls, extended, "2_adjusted")
             if self.judge(calls, extended, "2_adjusted", f"coarse poses, extended{note}"):
                 return True
-        models = []
-        for offset in (0, _ANOTHER_SEED):
-            name = f"3_adjusted_{offset}"
-            model = calls.incremental(f"3_incremental_{offset}", seed_offset=offset)
-            if model is not None:
-                model = calls.triangulated(model, name)
-            if self.judge(calls, model, name, f"incremental{note}"):
-                return True
-            models.append((model, name))
-        if any(model is None for model, _ in models):
+        if more_pairs_follow and self._merely_incomplete(calls):
             return False
-        (larger, name), (smaller, _) = sorted(models, key=lambda m: -len(m[0].names))
-        return self.judge(calls, larger, name, f"incremental, two seeds{note}", smaller, "the same with another seed")
+        model = calls.incremental("3_incremental")
+        if model is not None:
+            calls, model = calibrated(calls, model, "3_adjusted")
+        if self.judge(calls, model, "3_adjusted", f"incremental{note}"):
+            return True
+        return model is not None and self._halves_agree(calls, model, note)
+
+    def _merely_incomplete(self, calls: ModelCalls) -> bool:
+        best = self.best
+        return best is not None and best.agreement is not None and best.agreement.within(calls.config) and best.sound
+
+    def _halves_agree(self, calls: ModelCalls, model: Reconstruction, note: str) -> bool:
+        """A second opinion on the incremental model: two more from disjoint halves of the tracks, which must agree with
+        each other and with it."""
+        halves = models_of_halves(calls, "3_half")
+        if halves is None or not agreement(*halves).within(calls.config):
+            return False
+        least = min(halves, key=lambda half: len(half.names))
+        return self.judge(
+            calls,
+            model,
+            "3_adjusted",
+            f"incremental, confirmed by both halves{note}",
+            least,
+            "half of the tracks alone",
+        )
 
 
 def judged(
@@ -140,19 +168,30 @@ def judged(
 ) -> Candidate:
     """The model compared with another one of the same photos, made apart, and held against its matches."""
     config, component = calls.config, len(calls.matches.component)
-    agreed, accepted = None, False
+    agreed, place = None, None
     sound, support = calls.witness.judge(model)
+    places = weak_places(model, calls.witness)
+    broken = tuple(place.describe() for place in places if place.jumps)
+    sound = dataclasses.replace(sound, doubts=(*sound.doubts, *broken))
     if other is not None:
         agreed = agreement(other, model)
-        accepted = (
-            agreed.within(config)
-            and not sound.doubts
-            and len(model.names) >= config.min_registered * component
-            and agreed.common >= _COMMON_SHARE * len(model.names)
-        )
+        if not agreed.within(config):
+            place = disagreement(model, other, calls.witness, config)
+    # The model stands where it alone places one side of a cut so: its own points, from either side alone, say that.
+    upheld = place is not None and place.holds and not any(weak.is_open for weak in places)
+    accepted = (
+        agreed is not None
+        and (agreed.within(config) or upheld)
+        and not sound.doubts
+        and len(model.names) >= config.min_registered * component
+        and agreed.common >= _COMMON_SHARE * len(model.names)
+    )
+    confirmed = place if accepted and not agreed.within(config) else None
     figures = None if agreed is None else dataclasses.asdict(agreed)
     counts = {"registered": len(model.names), "component": component}
-    objections = {"soundness": dataclasses.asdict(sound)}
+    objections = {"soundness": dataclasses.asdict(sound), "places": [dataclasses.asdict(place) for place in places]}
     calls.reporter.event("mapping", method=method, accepted=accepted, agreement=figures, **counts, **objections)
     compared_with = other_name if other is not None else ""
-    return Candidate(model, calls, name, method, other, agreed, compared_with, accepted, sound, support)
+    return Candidate(
+        model, calls, name, method, other, agreed, compared_with, accepted, sound, support, places, confirmed
+    )

@@ -10,15 +10,15 @@ from pathlib import Path
 from graphgs.errors import DataError
 from graphgs.progress import Reporter
 from graphgs.scene.reconstruction import Reconstruction
+from graphgs.scene.similarity import diameter
 from graphgs.sources.photos import Photos
-from graphgs.structure.cameras import shared_cameras
 from graphgs.structure.colmap import ColmapWorker
 from graphgs.structure.colors import colored
 from graphgs.structure.config import StructureConfig
 from graphgs.structure.diagnosis import diagnose
-from graphgs.structure.focal_held import cautions
 from graphgs.structure.given import map_given
 from graphgs.structure.ladder import Candidate, climb, judged
+from graphgs.structure.lens_by_gps import reopened
 from graphgs.structure.matching import Matches
 from graphgs.structure.model_calls import ModelCalls
 from graphgs.structure.prior import Prior
@@ -53,7 +53,9 @@ def map_fine(
                 calls.witness.rotation.describe(),
                 hint="take a step between photos, and some from the side, each overlapping the next by half or more",
             )
-        best = climb(calls, prior.reconstruction)
+        best, gps = climb(calls, prior.reconstruction), None
+        if best is not None:
+            best, gps = reopened(best)
         if best is not None and photos.rigs and config.rig_refinement == "constrained":
             best = _mounted(best)
         reporter.event("worker", stage="mapping", peak_rss_mb=round(worker.peak_rss_mb))
@@ -81,7 +83,9 @@ def map_fine(
         rigs,
         world,
         diagnosis,
-        cautions(prior, shared_cameras(photos).known),
+        _cautions(best, reconstruction, world) + (() if gps is None else gps.describe()),
+        best.calls.calibration,
+        best.upheld,
     )
 
 
@@ -92,6 +96,16 @@ def _mounted(best: Candidate) -> Candidate:
         return best
     found = judged(best.calls, model, best.name, f"{best.method}, rig constrained", best.other, best.compared_with)
     return dataclasses.replace(found, free=best.reconstruction) if found.rank >= best.rank else best
+
+
+def _cautions(best: Candidate, settled: Reconstruction, world: WorldFrame | None) -> tuple[str, ...]:
+    """What the photos leave open, in the units of the final world."""
+    weak = tuple(place.describe() for place in best.places if place.is_open)
+    calibration = best.calls.calibration
+    if calibration is None:
+        return weak
+    scale = diameter(settled.centers) / max(diameter(best.reconstruction.centers), 1e-12)
+    return calibration.cautions("" if world is None else "m", scale) + weak
 
 
 def _settled(

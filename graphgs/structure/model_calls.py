@@ -1,16 +1,17 @@
 """The mapping calls that the ladder is made of."""
 
-import shutil
+import dataclasses
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-
-import numpy as np
 
 from graphgs.progress import Reporter
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.sources.photos import Photos
 from graphgs.sources.rigs import Rig
+from graphgs.structure.calibration.belief import Calibration
+from graphgs.structure.calibration.lens import refinements
+from graphgs.structure.cameras import with_lenses
 from graphgs.structure.colmap import ColmapWorker
 from graphgs.structure.config import StructureConfig
 from graphgs.structure.database import by_photo_names, by_pixel_files
@@ -21,10 +22,8 @@ from graphgs.structure.soundness import Witness
 
 # First a wide net, since coarse poses are off by a pixel or two. Then Cauchy's loss: repeated facades leave wrong
 # tracks that no threshold finds; it cut the median position error to a quarter (castle .25 -> .06 %, fox .13 -> .08 %).
-_WIDE = {"max_error_px": 8.0, "min_angle_deg": 1.5, "loss": "SOFT_L1", "loss_scale_px": 1.0, "tolerance": 1e-4}
-_NARROW = {"loss": "CAUCHY", "loss_scale_px": 1.0, "tolerance": 1e-5}
-_ENOUGH_PHOTOS = 8  # of one camera, to determine its principal point
-_FAR_OFF_CENTER = 0.1  # of the longer side: a principal point further out than this is not believed
+WIDE = {"max_error_px": 8.0, "min_angle_deg": 1.5, "loss": "SOFT_L1", "loss_scale_px": 1.0, "tolerance": 1e-4}
+NARROW = {"loss": "CAUCHY", "loss_scale_px": 1.0, "tolerance": 1e-5}
 
 
 @dataclass(frozen=True)
@@ -40,6 +39,13 @@ class ModelCalls:
     reporter: Reporter
     threads: int
     seed: int
+    calibration: Calibration | None = None  # what the photos said of the lenses; None: not asked yet
+
+    def with_calibration(self, calibration: Calibration, model: Reconstruction) -> "ModelCalls":
+        """The same with the lenses that the photos of a model speak for, and only what they determine refined."""
+        cameras = with_lenses(self.prior.cameras, self.photos, model, calibration.cameras)
+        prior = dataclasses.replace(self.prior, cameras=cameras, refine=calibration.refine)
+        return dataclasses.replace(self, prior=prior, calibration=calibration)
 
     @cached_property
     def witness(self) -> Witness:
@@ -48,38 +54,47 @@ class ModelCalls:
         return Witness.of(self.photos, database, self.prior.cameras, min_inliers=least)
 
     def triangulated(self, poses: Reconstruction, name: str) -> Reconstruction | None:
-        """Triangulation from poses, then two rounds of bundle adjustment and filtering. The principal point is refined
-        too where every camera has photos enough; if it runs away, once more without."""
-        job = {"poses": self._write(poses, name), "rounds": [_WIDE, self._narrow]}
-        if self.prior.hold_intrinsics:
-            return self._model(name, "triangulate", **job, refine=["poses"])
-        if np.bincount(self.prior.cameras.camera_ids).min() >= _ENOUGH_PHOTOS:
-            model = self._model(name, "triangulate", **job, refine=["poses", "intrinsics", "principal_point"])
-            if model is None or _off_center(model) <= _FAR_OFF_CENTER:
-                return model
-            shutil.rmtree(self.scratch / name)
-        return self._model(name, "triangulate", **job, refine=["poses", "intrinsics"])
+        """Triangulation from poses, then two rounds of bundle adjustment and filtering, with what `prior.refine` names
+        of the lenses."""
+        return self.adjusted(poses, name, rounds=(WIDE, NARROW))
+
+    def adjusted(self, poses: Reconstruction, name: str, *, rounds: tuple[dict, ...]) -> Reconstruction | None:
+        """The same with these rounds."""
+        limits = {"max_error_px": self.config.max_error_px, "min_angle_deg": self.config.min_angle_deg}
+        job = {"poses": self._write(poses, name), "rounds": [{**limits, **step} for step in rounds]}
+        return self._model(name, "triangulate", **job, refine=["poses", *refinements(self.prior.refine)])
 
     def triangulated_only(self, poses: Reconstruction, name: str) -> Reconstruction | None:
         """Triangulation with poses and intrinsics exactly as they are."""
         return self._model(name, "triangulate", poses=self._write(poses, name), rounds=[self._narrow], refine=[])
 
-    def incremental(self, name: str, *, start: str | None = None, seed_offset: int = 0) -> Reconstruction | None:
-        """COLMAP's incremental mapper, from nothing or adding photos to the model of that name."""
-        refine = not self.prior.hold_intrinsics
+    def incremental(
+        self, name: str, *, start: str | None = None, seed_offset: int = 0, database: Path | None = None
+    ) -> Reconstruction | None:
+        """COLMAP's incremental mapper, from nothing or adding photos to the model of that name; `database`: other
+        matches than all of them."""
+        # Lenses that the photos were asked about will do to find poses with; left free, each new photo may bend them.
+        free = () if self.calibration is not None else self.prior.refine
+        focal, bending = ("focal" in free), bool({"k1", "k2"} & set(free))
         options = {
             "min_num_matches": self.config.min_inliers,
             "min_model_size": 3,
-            "ba_refine_focal_length": refine,
-            "ba_refine_extra_params": refine,
-            "mapper": {"abs_pose_refine_focal_length": refine, "abs_pose_refine_extra_params": refine},
+            "ba_refine_focal_length": focal,
+            "ba_refine_extra_params": bending,
+            "mapper": {"abs_pose_refine_focal_length": focal, "abs_pose_refine_extra_params": bending},
         }
         model = None if start is None else self.scratch / start / "colmap"
-        return self._model(name, "map_incrementally", start=model, options=options, seed=self.seed + seed_offset)
+        cameras = self.prior.cameras
+        if start is not None:
+            found = by_photo_names(Reconstruction.load(self.scratch / start), self.photos)
+            cameras = with_lenses(cameras, self.photos, found, found.cameras)
+        job = {"start": model, "options": options, "seed": self.seed + seed_offset, "cameras": cameras.records()}
+        return self._call(name, "map_incrementally", database=database or self.matches.database, **job)
 
     def globally(self, name: str) -> Reconstruction | None:
         """COLMAP's global mapper (GLOMAP)."""
-        return self._model(name, "map_globally", refine=not self.prior.hold_intrinsics)
+        refine, cameras = bool(self.prior.refine), self.prior.cameras.records()
+        return self._model(name, "map_globally", refine=refine, cameras=cameras)
 
     def rig_adjusted(self, model: str, rigs: list[tuple[Rig, RigPose]]) -> Reconstruction | None:
         """The model of that name after bundle adjustment with one place on its rig per camera."""
@@ -92,13 +107,13 @@ class ModelCalls:
             }
             for rig, pose in rigs
         ]
-        refine = ["poses"] if self.prior.hold_intrinsics else ["poses", "intrinsics"]
+        refine = ["poses", *refinements(self.prior.refine)]
         start = self.scratch / model / "colmap"
         return self._call(f"{model}_rig", "adjust_rigs", model=start, rigs=jobs, step=self._narrow, refine=refine)
 
     @property
     def _narrow(self) -> dict:
-        return {**_NARROW, "max_error_px": self.config.max_error_px, "min_angle_deg": self.config.min_angle_deg}
+        return {**NARROW, "max_error_px": self.config.max_error_px, "min_angle_deg": self.config.min_angle_deg}
 
     def _write(self, poses: Reconstruction, name: str) -> Path:
         folder = self.scratch / f"{name}_from"
@@ -122,12 +137,3 @@ class ModelCalls:
         if model is None or not model.names:  # filtering may leave no photo at all
             return None
         return by_photo_names(model, self.photos)
-
-
-def _off_center(model: Reconstruction) -> float:
-    """The largest distance of a principal point from the image's middle, as a share of the longer side."""
-    return max(
-        max(abs(cx - camera.width / 2), abs(cy - camera.height / 2)) / max(camera.width, camera.height)
-        for camera in model.cameras
-        for _, _, cx, cy in [camera.focal_and_center]
-    )

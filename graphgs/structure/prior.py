@@ -21,10 +21,9 @@ class Prior:
     rotations: np.ndarray  # [N, 3, 3] camera-from-world; identity where not placed
     centers: np.ndarray  # [N, 3] world; NaN where not placed
     cameras: SharedCameras  # intrinsics of all photos, as far as known
-    hold_intrinsics: bool  # the photos do not determine them (straight driving): do not refine
+    refine: tuple[str, ...]  # parameters of the lenses (`calibration.trials.PARAMETERS`) that the photos determine
     source: str  # auto | poses | gps | sequence
     note: str = ""  # how it came about
-    focal_open: bool = False  # the photos do not show their focal length (straight driving)
     oriented: bool = True  # False: positions only, `rotations` say nothing
     reconstruction: Reconstruction | None = None
     similar: np.ndarray = field(default_factory=lambda: np.zeros((0, 0), np.int64))  # [N, k] look-alikes, best first
@@ -44,10 +43,7 @@ class Prior:
         folder.mkdir(parents=True, exist_ok=True)
         arrays = {k: getattr(self, k) for k in ("placed", "rotations", "centers", "similar")}
         np.savez(folder / "prior.npz", camera_ids=self.cameras.camera_ids, **arrays)
-        header = {
-            k: getattr(self, k)
-            for k in ("names", "hold_intrinsics", "focal_open", "source", "note", "oriented", "origin")
-        }
+        header = {k: getattr(self, k) for k in ("names", "refine", "source", "note", "oriented", "origin")}
         header["cameras"] = self.cameras.records()
         (folder / "prior.json").write_text(json.dumps(header, indent=1))
         if self.reconstruction is not None:
@@ -56,7 +52,7 @@ class Prior:
     @staticmethod
     def load(folder: Path) -> "Prior":
         header = json.loads((folder / "prior.json").read_text())
-        header["names"] = tuple(header["names"])
+        header["names"], header["refine"] = tuple(header["names"]), tuple(header["refine"])
         header["origin"] = None if header["origin"] is None else tuple(header["origin"])
         own = folder / "reconstruction"
         reconstruction = Reconstruction.load(own) if own.is_dir() else None

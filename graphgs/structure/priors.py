@@ -101,7 +101,7 @@ def own_prior(
         rotations=np.tile(np.eye(3), (n, 1, 1)),
         centers=np.full((n, 3), np.nan),
         cameras=shared_cameras(photos),
-        hold_intrinsics=False,
+        refine=(),
         source="auto",
         note="no coarse reconstruction",
     )
@@ -184,7 +184,7 @@ def given_prior(photos: Photos) -> Prior:
         rotations=rotations,
         centers=centers,
         cameras=_given_cameras(photos),
-        hold_intrinsics=False,
+        refine=(),
         source="given",
         note=f"poses of {placed.sum()} of {len(placed)} photos came with the input",
         reconstruction=given,

@@ -10,9 +10,11 @@ import numpy as np
 from graphgs.scene.origin import AT_ZERO, Origin
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.structure.acceptance import Agreement
+from graphgs.structure.calibration.belief import Calibration
 from graphgs.structure.diagnosis import Diagnosis
 from graphgs.structure.matching import Matches
 from graphgs.structure.rigs import RigPose
+from graphgs.structure.scale_across import ScaleAcross
 from graphgs.structure.world import WorldFrame, from_plain, plain
 
 
@@ -34,6 +36,8 @@ class Structure:
     diagnosis: Diagnosis | None = None  # None: nothing was matched
     cautions: tuple[str, ...] = ()  # what the photos leave open, though nothing contradicts the result; for people
     origin: Origin = AT_ZERO  # of the world, in the frame of given poses
+    calibration: Calibration | None = None  # what they said of their lenses; None: they were not asked
+    upheld: ScaleAcross | None = None  # where it was accepted against the other reconstruction, by its own points
 
     @property
     def status(self) -> str:
@@ -58,6 +62,8 @@ class Structure:
             "world": plain(self.world),
             "cautions": list(self.cautions),
             "origin": list(self.origin),
+            "upheld": None if self.upheld is None else dataclasses.asdict(self.upheld),
+            "calibration": None if self.calibration is None else self.calibration.record(),
         }
         for k, rig in enumerate(self.rigs):
             rig.save(folder / f"rig_{k}.npz")
@@ -74,6 +80,9 @@ class Structure:
         header["world"] = from_plain(header["world"])
         header["cautions"] = tuple(header.get("cautions", ()))  # older ones have none
         header["origin"] = tuple(header.get("origin", AT_ZERO))
+        calibration, upheld = header.get("calibration"), header.get("upheld")
+        header["upheld"] = None if upheld is None else ScaleAcross(**upheld)
+        header["calibration"] = None if calibration is None else Calibration.from_record(calibration)
         header["diagnosis"] = Diagnosis.load(folder) if (folder / "diagnosis.json").is_file() else None
         with np.load(folder / "edges.npz", allow_pickle=False) as arrays:
             return Structure(Reconstruction.load(folder), **dict(arrays), **header)

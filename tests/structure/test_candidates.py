@@ -49,7 +49,7 @@ def own(street) -> Prior:
         rotations=street.rotations,
         centers=street.centers,
         cameras=SharedCameras((CAMERA,), (True,), np.zeros(n, np.int64)),
-        hold_intrinsics=False,
+        refine=(),
         source="auto",
         reconstruction=reconstruction,
     )

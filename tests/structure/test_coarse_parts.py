@@ -12,9 +12,11 @@ from graphgs.scene.camera import Camera
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.sources.photos import Photos
 from graphgs.structure import coarse_attempt
-from graphgs.structure.cameras import rescaled, shared_cameras, with_second_term
+from graphgs.structure.calibration.lens import PARAMETERS, opened
+from graphgs.structure.calibration.starts import wide_open
+from graphgs.structure.cameras import rescaled, shared_cameras
 from graphgs.structure.candidates import candidate_pairs
-from graphgs.structure.coarse_attempt import Attempt, _best_mapping, coarse_pairs
+from graphgs.structure.coarse_attempt import Attempt, _best_mapping, _Mapped, coarse_pairs
 from graphgs.structure.config import StructureConfig
 from graphgs.structure.focal import vote_focal
 from graphgs.structure.gps import enu_from_wgs84
@@ -40,7 +42,7 @@ def empty_prior(photos, similar=None):
         rotations=np.tile(np.eye(3), (n, 1, 1)),
         centers=np.full((n, 3), np.nan),
         cameras=shared_cameras(photos),
-        hold_intrinsics=False,
+        refine=(),
         source="auto",
         similar=np.zeros((n, 0), np.int64) if similar is None else similar,
     )
@@ -130,7 +132,8 @@ def test_photos_of_one_key_share_a_camera_and_its_focal_length(tmp_path):
     assert moved.cameras[0] == cameras.cameras[0]  # a focal length from EXIF stays
     assert moved.cameras[1].params[0] == pytest.approx(1.25 * cameras.cameras[1].params[0])
     assert moved.known == (True, True)
-    assert [c.model for c in with_second_term(moved).cameras] == ["SIMPLE_RADIAL", "RADIAL"]
+    assert [opened(c, PARAMETERS).model for c in moved.cameras] == ["RADIAL", "RADIAL"]
+    assert wide_open(moved) == ("focal", "k1")  # one of them took too few photos
 
 
 def test_gps_becomes_metres_east_north_up():
@@ -207,7 +210,7 @@ def test_camera_models_keep_what_they_know():
     fisheye = Camera("OPENCV_FISHEYE", 100, 80, (50.0, 50.0, 50.0, 40.0, 0.1, 0.0, 0.0, 0.0))
     photos = photos_of(None, 9)
     cameras = dataclasses.replace(shared_cameras(photos), cameras=(fisheye,))
-    assert with_second_term(cameras).cameras == (fisheye,)
+    assert opened(cameras.cameras[0], PARAMETERS) == fisheye
 
 
 class MapperStandIn:
@@ -247,11 +250,11 @@ def test_of_several_guesses_the_mapping_with_the_least_error_wins(tmp_path, answ
         dataclasses.replace(start, cameras=(Camera("SIMPLE_RADIAL", 320, 240, (focal, 160.0, 120.0, 0.0)),))
         for focal in answers
     ]
-    found, cameras = _best_mapping(
+    found = _best_mapping(
         photos, guesses, Attempt(640, 1000, 0, True), True, MapperStandIn(answers, drift), tmp_path, Reporter(), 1
     )
-    assert (found.cameras[0].params[0] if found else None) == chosen
-    assert cameras.cameras[0].params[0] == (chosen or 100.0)
+    assert (found.model.cameras[0].params[0] if found else None) == chosen
+    assert found is None or found.cameras.cameras[0].params[0] == chosen
 
 
 @pytest.mark.parametrize(
@@ -278,15 +281,23 @@ def test_a_mapping_that_its_matches_contradict_is_tried_again(tmp_path, monkeypa
 
     def best_mapping(photos, guesses, attempt, *rest):
         asked.append(attempt.seed)
-        return model(attempt.seed), guesses[0]
+        return _Mapped(model(attempt.seed), guesses[0], tmp_path)
 
     monkeypatch.setattr(coarse_attempt, "_best_mapping", best_mapping)
     monkeypatch.setattr(coarse_attempt, "read_verified", lambda database: None)
     monkeypatch.setattr(
         coarse_attempt, "_contradiction", lambda found, *rest: strengths[int(found.cameras[0].params[0]) - 100]
     )
-    found, _ = coarse_attempt._less_contradicted(
-        None, model(0), ["guess"], "guess", Attempt(640, 1000, 0, False), False, None, tmp_path, Reporter(), 1
+    found = coarse_attempt._less_contradicted(
+        None,
+        _Mapped(model(0), "guess", tmp_path),
+        ["guess"],
+        Attempt(640, 1000, 0, False),
+        False,
+        None,
+        tmp_path,
+        Reporter(),
+        1,
     )
-    assert found.cameras[0].params[0] == 100 + chosen
+    assert found.model.cameras[0].params[0] == 100 + chosen
     assert asked == mapped

@@ -44,7 +44,7 @@ def prior_of(photos):
         rotations=np.tile(np.eye(3), (n, 1, 1)),
         centers=np.full((n, 3), np.nan),
         cameras=shared_cameras(photos),
-        hold_intrinsics=False,
+        refine=(),
         source="auto",
     )
 

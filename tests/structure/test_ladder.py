@@ -1,6 +1,7 @@
 """Which steps of the ladder are climbed when the earlier ones fail: a stand-in answers for COLMAP."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from graphgs.sources.photos import Photo, Photos
 from graphgs.structure.cameras import shared_cameras
 from graphgs.structure.config import StructureConfig
 from graphgs.structure.contradictions import PairSupport
+from graphgs.structure.evidence import VerifiedMatches
 from graphgs.structure.ladder import climb
 from graphgs.structure.matching import Matches
 from graphgs.structure.model_calls import ModelCalls
@@ -53,6 +55,8 @@ class ColmapStandIn:
         if job == "match":
             self.pairs = arguments["pairs"]
             return {"matched_now": len(self.pairs)}
+        if job == "halve":
+            return {}
         if job == "verified":
             edges = np.unique(np.array(self.pairs), axis=0)
             np.savez(arguments["out"], edges=edges, inliers=np.full(len(edges), 50))
@@ -68,6 +72,9 @@ class ColmapStandIn:
 
 class NoDoubts:
     """Stands for the verified matches as witnesses: they contradict no model."""
+
+    photos = SimpleNamespace(names=())
+    verified = VerifiedMatches(np.zeros((0, 2), np.int64), np.zeros(1, np.int64), *np.zeros((2, 0, 2), np.float32))
 
     def judge(self, model):
         none = np.zeros(0, np.int64)
@@ -88,7 +95,7 @@ def climbed(tmp_path, answers, *, config=None, focal_px=None):
     placed, rotations, centers = poses_by_name(photos.names, coarse)
     similar = np.stack([(np.arange(N) + 7) % N, (np.arange(N) + 11) % N], 1)
     prior = Prior(
-        photos.names, placed, rotations, centers, shared_cameras(photos), False, "auto",
+        photos.names, placed, rotations, centers, shared_cameras(photos), (), "auto",
         reconstruction=coarse, similar=similar,
     )  # fmt: skip
     chain = np.stack([np.arange(N - 1), np.arange(1, N)], 1)
@@ -99,25 +106,26 @@ def climbed(tmp_path, answers, *, config=None, focal_px=None):
     return climb(calls, coarse), worker.asked
 
 
+FIRST = ["1_triangulated_wide", "1_triangulated"]
 FIRST_THREE = [
-    "1_triangulated", "3_incremental_0", "3_adjusted_0", "3_incremental_1000", "3_adjusted_1000",
+    *FIRST, "3_incremental", "3_adjusted_wide", "3_adjusted", "3_half_0", "3_half_1",
 ]  # fmt: skip
 
 
 def wrong_twice(step):
-    """Two runs that agree neither with the coarse reconstruction nor with each other."""
-    return "wrong_too" if "1000" in step else "wrong"
+    """Runs that do not agree with the coarse reconstruction, and halves that do not agree with each other."""
+    return "wrong_too" if "half_1" in step else "wrong"
 
 
 def test_the_first_step_is_enough_where_it_is_accepted(tmp_path):
     best, asked = climbed(tmp_path, lambda step: "right")
     assert best.accepted
-    assert asked == ["1_triangulated"]
+    assert asked == FIRST
 
 
 def test_more_pairs_come_after_the_first_three_steps(tmp_path):
     best, asked = climbed(tmp_path, lambda step: "right" if step.startswith("4_") else wrong_twice(step))
-    assert asked == [*FIRST_THREE, "4_more_pairs/1_triangulated"]
+    assert asked == [*FIRST_THREE, *(f"4_more_pairs/{step}" for step in FIRST)]
     assert best.accepted
     assert best.method == "triangulated from coarse poses, more pairs"
     edges = {tuple(edge) for edge in best.calls.matches.edges.tolist()}
@@ -131,11 +139,25 @@ def test_a_global_reconstruction_needs_focal_lengths_that_are_known(tmp_path):
         return "right" if "5_" in step else wrong_twice(step)
 
     best, asked = climbed(tmp_path / "known", only_global, focal_px=300.0)
-    assert asked[-2:] == ["4_more_pairs/5_global", "4_more_pairs/5_adjusted"]
+    assert asked[-3:] == [f"4_more_pairs/5_{step}" for step in ("global", "adjusted_wide", "adjusted")]
     assert best.method == "global, focal lengths known"
     assert best.accepted
     best, asked = climbed(tmp_path / "guessed", only_global)
     assert not any("5_" in step for step in asked)
+    assert not best.accepted
+
+
+def test_halves_that_agree_with_it_and_each_other_uphold_the_incremental_model(tmp_path):
+    best, asked = climbed(tmp_path, lambda step: "wrong" if step.startswith("3_") else "wrong_too")
+    assert asked == FIRST_THREE
+    assert best.accepted
+    assert best.method == "incremental, confirmed by both halves"
+    assert best.compared_with == "half of the tracks alone"
+
+
+def test_halves_that_differ_uphold_nothing(tmp_path):
+    best, asked = climbed(tmp_path, lambda step: wrong_twice(step) if "3_" in step else "wrong_too")
+    assert asked[: len(FIRST_THREE)] == FIRST_THREE
     assert not best.accepted
 
 
@@ -147,16 +169,16 @@ def test_every_pair_is_the_last_step(tmp_path):
 
 
 def test_the_most_photos_win_where_nothing_is_accepted(tmp_path):
-    best, _ = climbed(tmp_path, lambda step: "wrong_too" if step == "3_adjusted_0" else "fewer")
+    best, _ = climbed(tmp_path, lambda step: "wrong_too" if step.endswith("3_adjusted") else "fewer")
     assert not best.accepted
-    assert best.name == "3_adjusted_0"
+    assert best.name == "3_adjusted"
     assert len(best.reconstruction.names) == N
 
 
 def test_steps_that_give_nothing_end_in_nothing(tmp_path):
     best, asked = climbed(tmp_path, lambda step: None)
     assert best is None
-    assert asked[0] == "1_triangulated"
+    assert asked[0] == "1_triangulated_wide"
 
 
 @pytest.mark.parametrize("mapper", ["incremental", "global"])

@@ -160,7 +160,7 @@ def test_killed_features_and_matches_continue_and_give_the_same(tmp_path):
         rotations=np.tile(np.eye(3), (n, 1, 1)),
         centers=np.full((n, 3), np.nan),
         cameras=shared_cameras(photos),
-        hold_intrinsics=False,
+        refine=(),
         source="auto",
     )
     everything = np.stack(np.triu_indices(n, 1), axis=1)

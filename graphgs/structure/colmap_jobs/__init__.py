@@ -21,10 +21,11 @@ from graphgs.structure.colmap_jobs.database import (
     verified,
 )
 from graphgs.structure.colmap_jobs.features import extract
-from graphgs.structure.colmap_jobs.focal_response import focal_response
 from graphgs.structure.colmap_jobs.given_matches import verify_given
+from graphgs.structure.colmap_jobs.halves import halve
 from graphgs.structure.colmap_jobs.mapping import map_globally, map_incrementally, triangulate
 from graphgs.structure.colmap_jobs.rigs import adjust_rigs
+from graphgs.structure.colmap_jobs.trial import adjust
 
 __all__ = ["JOBS", "pycolmap"]
 
@@ -44,6 +45,7 @@ JOBS = {
         map_globally,
         triangulate,
         adjust_rigs,
-        focal_response,
+        adjust,
+        halve,
     )
 }

@@ -33,7 +33,8 @@ def set_intrinsics(camera: pycolmap.Camera, source: Camera) -> None:
 def adjustment(step: dict, refine: list[str], threads: int) -> pycolmap.BundleAdjustmentOptions:
     options = pycolmap.BundleAdjustmentOptions(print_summary=False)
     options.refine_rig_from_world = "poses" in refine
-    options.refine_focal_length = options.refine_extra_params = "intrinsics" in refine
+    options.refine_focal_length = "focal" in refine
+    options.refine_extra_params = "distortion" in refine
     options.refine_principal_point = "principal_point" in refine
     options.ceres.loss_function_type = getattr(pycolmap.LossFunctionType, step["loss"])
     options.ceres.loss_function_scale = step["loss_scale_px"]

@@ -8,6 +8,7 @@ import pycolmap
 
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.structure.colmap_jobs.convert import Progress, adjustment, save, set_intrinsics
+from graphgs.structure.colmap_jobs.database import set_cameras
 
 
 def map_incrementally(
@@ -18,6 +19,7 @@ def map_incrementally(
     seed: int,
     threads: int,
     progress: Progress,
+    cameras: list[dict] | None = None,  # intrinsics in place of the database's
 ) -> dict:
     """COLMAP's incremental mapper; keeps the model with the most images."""
     pycolmap.set_random_seed(seed)
@@ -36,8 +38,10 @@ def map_incrementally(
 
     return _largest(
         out,
-        lambda models: pycolmap.incremental_mapping(
-            database, models, models, settings, input_path=start or "", next_image_callback=count_one
+        database,
+        cameras,
+        lambda own, models: pycolmap.incremental_mapping(
+            own, models, models, settings, input_path=start or "", next_image_callback=count_one
         ),
     )
 
@@ -49,6 +53,7 @@ def map_globally(
     seed: int,
     threads: int,
     progress: Progress,
+    cameras: list[dict] | None = None,  # intrinsics in place of the database's
 ) -> dict:
     """COLMAP's global mapper (GLOMAP, Pan et al. 2024); keeps the model with the most images. It cannot be stopped but
     by ending the process."""
@@ -59,7 +64,7 @@ def map_globally(
     adjusting.refine_focal_length = adjusting.refine_extra_params = refine
     adjusting.ceres.use_gpu = settings.mapper.global_positioning.use_gpu = False
     progress(0, 1)
-    return _largest(out, lambda models: pycolmap.global_mapping(database, models, models, settings))
+    return _largest(out, database, cameras, lambda own, models: pycolmap.global_mapping(own, models, models, settings))
 
 
 def triangulate(
@@ -68,7 +73,7 @@ def triangulate(
     out: str,
     rounds: list[dict],  # each: max_error_px, min_angle_deg, loss (a pycolmap LossFunctionType), loss_scale_px, and
     # tolerance (relative decrease of the cost at which bundle adjustment stops)
-    refine: list[str],  # of "poses", "intrinsics", "principal_point"
+    refine: list[str],  # of "poses", "focal", "distortion", "principal_point"
     seed: int,
     threads: int,
     progress: Progress,
@@ -81,6 +86,10 @@ def triangulate(
     with pycolmap.Database.open(database) as db:
         # Poses that are kept stay even where no match supports them.
         cache = pycolmap.DatabaseCache.create(db, pycolmap.DatabaseCacheOptions(load_all_images=not refine))
+    camera_of = {image.name: image.camera_id for image in cache.images.values()}
+    for k, name in enumerate(given.names):
+        if name in camera_of:  # the model of the lens too may be another than the database's
+            set_intrinsics(cache.cameras[camera_of[name]], given.camera_of(k))
     model = pycolmap.Reconstruction()
     model.load(cache)
     ids = {image.name: image_id for image_id, image in model.images.items()}
@@ -89,8 +98,6 @@ def triangulate(
             continue  # no verified match: nothing to triangulate
         image = model.image(ids[name])
         pose = pycolmap.Rigid3d(pycolmap.Rotation3d(given.rotations[k]), given.translations[k])
-        camera = model.camera(image.camera_id)
-        set_intrinsics(camera, given.camera_of(k))
         model.frame(image.frame_id).set_cam_from_world(image.camera_id, pose)
         model.register_frame(image.frame_id)
     mapper = pycolmap.IncrementalMapper(cache)
@@ -102,12 +109,21 @@ def triangulate(
     return save(model, out)
 
 
-def _largest(out: str, run: Callable[[Path], dict[int, pycolmap.Reconstruction]]) -> dict:
-    """Keep the model with the most images that a mapper makes in a folder of its own."""
+def _largest(
+    out: str,
+    database: str,
+    cameras: list[dict] | None,
+    run: Callable[[str, Path], dict[int, pycolmap.Reconstruction]],
+) -> dict:
+    """Keep the model with the most images that a mapper makes in a folder of its own, from a database with these
+    cameras."""
     models = Path(out + ".models")
     shutil.rmtree(models, ignore_errors=True)
     models.mkdir(parents=True)
-    found = run(models)
+    if cameras is not None:  # the matches are an artefact, which stays as it is
+        database = shutil.copyfile(database, str(models / "database.db"))
+        set_cameras(database, cameras, progress=lambda done, total: None)
+    found = run(database, models)
     shutil.rmtree(models)
     if not found:
         return {"registered": 0}

@@ -11,7 +11,7 @@ def adjust_rigs(
     out: str,
     rigs: list[dict],  # images: [F, C] pixel files or None; rotations [C, 3, 3], translations [C, 3]: cam_from_rig
     step: dict,  # as one of the rounds of `triangulate`
-    refine: list[str],  # of "poses", "intrinsics", "principal_point"
+    refine: list[str],  # of "poses", "focal", "distortion", "principal_point"
     seed: int,
     threads: int,
     progress: Progress,
