@@ -1,4 +1,4 @@
-"""Survey flights over open country with exact truth: photos through a lens with distortion, a nearly right focal length.
+"""Survey flights over open country with exact truth: photos through a lens that bends, a nearly right focal length.
 
 They live beside the benchmark and not in `graphgs synth`: what they are for, a lens and an EXIF focal length that are
 wrong by a known amount, a user has no need of.

@@ -40,16 +40,11 @@ def colmap_result(
     photos: tuple[str, ...],  # names below `images`, those that ours is given
 ) -> ColmapResult:
     """COLMAP's model of these photos, from the cache unless it has to be made."""
-    folder = cache / "colmap" / f"{name}_{_fingerprint(images, photos)}"
+    folder = cache / "colmap" / f"{name}_{fingerprint(images, photos)}"
     upright(images, photos, folder / "images")
     spent = sum(_step(folder, step) for step in STEPS)
     models = [read_model(place) for place in sorted((folder / "models").iterdir()) if place.is_dir()]
     return ColmapResult(max(models, key=lambda model: len(model.names), default=None), spent)
-
-
-def kept(cache: Path, name: str, images: Path, photos: tuple[str, ...]) -> bool:
-    """Whether the cache has all of it: nothing would be computed."""
-    return (cache / "colmap" / f"{name}_{_fingerprint(images, photos)}" / "models.json").is_file()
 
 
 def upright(images: Path, photos: tuple[str, ...], target: Path) -> None:
@@ -79,7 +74,8 @@ def _step(folder: Path, step: str) -> float:
     return json.loads(record.read_text())["cpu_s"]
 
 
-def _fingerprint(images: Path, photos: tuple[str, ...]) -> str:
+def fingerprint(images: Path, photos: tuple[str, ...]) -> str:
+    """Of the photos' names and bytes and of COLMAP: what its results depend on."""
     import pycolmap
 
     content = hashlib.sha256(pycolmap.__version__.encode())

@@ -10,6 +10,7 @@ import numpy as np
 
 from graphgs.synth.course import Heading
 
+UP = np.array([0.0, -1.0, 0.0])  # in the world
 CAMERA_HEIGHT = 1.6  # [m]
 SIDE_YAW_RAD = np.radians(45.0)  # of the left and right cameras
 RIGS = {

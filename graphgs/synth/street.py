@@ -103,9 +103,7 @@ def write_street(
     )
     scene = street.build(device=device)
     camera = config.camera
-    shots = plan_drive(
-        street.line, config.frames, config.cameras, config.spacing, config.seed, sway=config.sway
-    )
+    shots = plan_drive(street.line, config.frames, config.cameras, config.spacing, config.seed, sway=config.sway)
     stops = config.exposure_stops * np.random.default_rng([config.seed, 4]).uniform(-1, 1, len(shots))
 
     truth = TruthBuilder(camera, points_per_shot=-(-config.points // len(shots)), seed=config.seed)
