@@ -62,23 +62,42 @@ class FlightConfig:
 
 def write_flight(config: FlightConfig, folder: Path, *, points: int = 4000) -> Reconstruction:
     """Photos into folder/images, the truth as a COLMAP model into folder/truth; the truth is returned as well."""
-    camera, terrain = config.camera, config.terrain
-    lens, scene = Lens(camera), terrain.build(device="cpu")
-    rotations, centers = fly(config)
-    names = tuple(f"{k:03d}.jpg" for k in range(len(centers)))
-    translations = -np.einsum("nij,nj->ni", rotations, centers)
-    for k, (rotation, translation) in enumerate(zip(rotations, translations, strict=True)):
-        viewmat = np.eye(4)
-        viewmat[:3, :3], viewmat[:3, 3] = rotation, translation
+    lens, scene, truth = Lens(config.camera), config.terrain.build(device="cpu"), true_model(config, points=points)
+    for k, (name, viewmat) in enumerate(zip(truth.names, truth.viewmats, strict=True)):
         picture, _ = raycast(scene, viewmat, lens.pinhole.K, lens.pinhole.width, lens.pinhole.height, samples=1)
         noisy = with_noise(lens.photograph(picture), NOISE, np.random.default_rng([config.seed, 4, k]))
-        write_photo(folder / "images" / names[k], noisy, config.said)
-    truth = _with_points(
-        Reconstruction((camera,), names, np.zeros(len(names), np.int64), rotations, translations),
-        terrain, points, seed=config.seed,
-    )  # fmt: skip
+        write_photo(folder / "images" / name, noisy, config.said)
     write_model(truth, folder / "truth")
     return truth
+
+
+def true_model(config: FlightConfig, *, points: int = 4000) -> Reconstruction:
+    """Poses, lens, and points on the ground with the photos that see them; from straight above, nothing hides them."""
+    camera, terrain = config.camera, config.terrain
+    rotations, centers = fly(config)
+    translations = -np.einsum("nij,nj->ni", rotations, centers)
+    rng = np.random.default_rng([config.seed, 5])
+    x, z = rng.uniform(-1, 1, (2, points)) * np.array(terrain.reach)[:, None]
+    ground = np.stack([x, -terrain.height(x, z), z], axis=1)
+    fx, fy, cx, cy = camera.focal_and_center
+    local = np.einsum("nij,pj->pni", rotations, ground) + translations
+    xy = distorted(local[..., :2] / local[..., 2:], camera) * [fx, fy] + [cx, cy]  # [P, N, 2]
+    seen = ((xy > 0) & (xy < [camera.width, camera.height])).all(-1)
+    kept = seen.sum(1) >= 2
+    ground, seen, xy = ground[kept], seen[kept], xy[kept]
+    return Reconstruction(
+        cameras=(camera,),
+        names=tuple(f"{k:03d}.jpg" for k in range(len(centers))),
+        camera_ids=np.zeros(len(centers), np.int64),
+        rotations=rotations,
+        translations=translations,
+        points=ground,
+        colors=np.full((len(ground), 3), 128, np.uint8),
+        errors=np.zeros(len(ground)),
+        track_offsets=np.concatenate([[0], np.cumsum(seen.sum(1))]).astype(np.int64),
+        track_images=np.nonzero(seen)[1].astype(np.int32),
+        track_xy=xy[seen],
+    )
 
 
 def fly(config: FlightConfig) -> tuple[np.ndarray, np.ndarray]:
@@ -95,26 +114,3 @@ def fly(config: FlightConfig) -> tuple[np.ndarray, np.ndarray]:
             body = Rotation.from_euler("zxy", [rng.normal(180.0 if back else 0.0, 3.0), *tilts], degrees=True)
             rotations.append(body.as_matrix().T @ NADIR)
     return np.array(rotations), np.array(centers)
-
-
-def _with_points(poses: Reconstruction, terrain: Terrain, count: int, *, seed: int) -> Reconstruction:
-    """The same with points on the ground; seen from straight above, nothing hides them."""
-    rng = np.random.default_rng([seed, 5])
-    x, z = rng.uniform(-1, 1, (2, count)) * np.array(terrain.reach)[:, None]
-    points = np.stack([x, -terrain.height(x, z), z], axis=1)
-    camera = poses.cameras[0]
-    fx, fy, cx, cy = camera.focal_and_center
-    local = np.einsum("nij,pj->pni", poses.rotations, points) + poses.translations
-    xy = distorted(local[..., :2] / local[..., 2:], camera) * [fx, fy] + [cx, cy]  # [P, N, 2]
-    seen = ((xy > 0) & (xy < [camera.width, camera.height])).all(-1)
-    kept = seen.sum(1) >= 2
-    points, seen, xy = points[kept], seen[kept], xy[kept]
-    return Reconstruction(
-        poses.cameras, poses.names, poses.camera_ids, poses.rotations, poses.translations,
-        points=points,
-        colors=np.full((len(points), 3), 128, np.uint8),
-        errors=np.zeros(len(points)),
-        track_offsets=np.concatenate([[0], np.cumsum(seen.sum(1))]).astype(np.int64),
-        track_images=np.nonzero(seen)[1].astype(np.int32),
-        track_xy=xy[seen],
-    )  # fmt: skip

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.shape_truth import Truth, gps_truth, model_truth, pose_rows_truth, transforms_truth
+from bench.shape_truth import Truth, gps_truth, model_truth, of_photos, pose_rows_truth, transforms_truth
 from graphgs.scene.colmap import read_model
 
 PHOTO_SUFFIXES = {".jpg", ".jpeg", ".png"}
@@ -34,11 +34,12 @@ def real_set(data: Path, name: str) -> ShapeSet:
     """A set of photos taken of the world, with the truth its authors measured."""
     folder = data / name
     images = folder / "images"
+    photos = photos_below(images)
     return ShapeSet(
         name,
         images,
-        photos_below(images),
-        REAL_TRUTHS[name](folder),
+        photos,
+        of_photos(REAL_TRUTHS[name](folder), set(photos)),
         lidar=folder / "lidar.npz" if (folder / "lidar.npz").is_file() else None,
     )
 

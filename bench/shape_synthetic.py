@@ -94,7 +94,7 @@ def synthetic_set(cache: Path, kind: str, seed: int) -> ShapeSet:
     """The photos and the truth of a kind and a seed, made unless they are there."""
     made, config = KINDS[kind], KINDS[kind].config(seed)
     wanted = json.dumps(dataclasses.asdict(config), sort_keys=True)
-    version = hashlib.sha256((wanted + _renderer()).encode()).hexdigest()[:12]
+    version = hashlib.sha256((wanted + _renderer(type(config))).encode()).hexdigest()[:12]
     folder = cache / "shape_sets" / f"{kind}_{seed}_{version}"
     if not folder.exists():
         partial = folder.with_name(folder.name + ".partial")
@@ -122,11 +122,13 @@ def synthetic_set(cache: Path, kind: str, seed: int) -> ShapeSet:
 
 
 @functools.cache
-def _renderer() -> str:
+def _renderer(config: type) -> str:
     """A hash of the code that the photos depend on."""
     content = hashlib.sha256()
-    folders = [Path(module.__file__).parent for module in (graphgs.synth, graphgs.kernels.raycast)]
-    files = [Path(module.__file__) for module in (bench.flights, bench.lens, bench.terrain)]
-    for path in sorted([*files, *(path for folder in folders for path in folder.glob("*.py"))]):
+    packages = [Path(module.__file__).parent for module in (graphgs.synth, graphgs.kernels.raycast)]
+    files = [path for package in packages for path in package.glob("*.py")]
+    if config is FlightConfig:
+        files += [Path(module.__file__) for module in (bench.flights, bench.lens, bench.terrain)]
+    for path in sorted(files):
         content.update(path.read_bytes())
     return content.hexdigest()

@@ -1,6 +1,8 @@
 """True cameras of a photo set, from whatever a set's authors wrote them in."""
 
+import dataclasses
 import json
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,6 +28,19 @@ class Truth:
     @property
     def index(self) -> dict[str, int]:
         return {name: k for k, name in enumerate(self.names)}
+
+
+def of_photos(truth: Truth, photos: Collection[str]) -> Truth:
+    """Without photos that are not there: a set may be part of a larger one."""
+    kept = [k for k, name in enumerate(truth.names) if name in photos]
+
+    def some(array):
+        return None if array is None else array[kept]
+
+    return dataclasses.replace(
+        truth, names=tuple(truth.names[k] for k in kept), centers=truth.centers[kept],
+        rotations=some(truth.rotations), focals=some(truth.focals),
+    )  # fmt: skip
 
 
 def model_truth(model: Reconstruction, *, up: np.ndarray | None = None) -> Truth:
