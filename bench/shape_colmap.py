@@ -52,7 +52,9 @@ def upright(images: Path, photos: tuple[str, ...], target: Path) -> None:
     turned for it; all others are links to the very files."""
     for name in photos:
         copy = target / name
-        if copy.exists():
+        if copy.is_symlink():
+            copy.unlink()  # the photos may lie elsewhere by now
+        elif copy.exists():
             continue
         copy.parent.mkdir(parents=True, exist_ok=True)
         with Image.open(images / name) as photo:
