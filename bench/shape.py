@@ -6,6 +6,8 @@ stays in the cache: COLMAP's results for ever, ours as long as the code is the s
 """
 
 import argparse
+import signal
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -33,6 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(device: str, cache: Path, args: argparse.Namespace) -> list[Metric]:
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # so that its children end as well
     rows = []
     print(heading(), flush=True)
     for found in chosen_sets(cache, args):

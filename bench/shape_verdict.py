@@ -61,9 +61,9 @@ def judge(
 ) -> Verdict:
     cautions = tuple(cautions)
     needless = bool(determined) and len(cautions) > 0
-    if measures is None or status in ("refused", "failed"):
-        return Verdict("refused", (), needless)
-    found = defects(measures)
+    found = () if measures is None else defects(measures)
+    if measures is None or status in ("partial", "refused", "failed"):
+        return Verdict("refused", found, needless)
     if "photos missing" in found:
         return Verdict("incomplete", found, needless)
     if not found:

@@ -57,6 +57,8 @@ def test_a_scene_in_part_or_none_is_not_good():
     assert not judge(dataclasses.replace(RIGHT, placed=12), "ok", (), determined=True).good
     assert not judge(None, "refused", (), determined=False).good
     assert not judge(RIGHT, "failed", (), determined=True).good
+    refused = judge(JUMP, "partial", (), determined=True)  # ended with an error: neither good nor silent
+    assert (refused.word, refused.good) == ("refused", False)
 
 
 def test_how_a_run_ended_in_one_word():
