@@ -5,13 +5,15 @@ length comes from the photos' EXIF data or is guessed, refined with its distorti
 and one size as one camera, so COLMAP does too. Only the number of threads is set, to one.
 
 Each of the three steps runs in a process of its own (`python -m bench.shape_colmap STEP ...`), so that its processor
-seconds are known; a step that was killed is repeated.
+seconds are known. A step that was killed is repeated; matching, which takes hours for some sets, continues.
 """
 
 import hashlib
 import json
 import shutil
 import sys
+import threading
+import time
 from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +27,7 @@ from graphgs.scene.reconstruction import Reconstruction
 STEPS = ("features", "matches", "models")
 ORIENTATION = 0x0112
 SEED = 0
+SPENT, NOTE_EVERY_S = "matches_spent.json", 5.0
 
 
 @dataclass(frozen=True)
@@ -62,18 +65,27 @@ def upright(images: Path, photos: tuple[str, ...], target: Path) -> None:
             if exif.get(ORIENTATION, 1) == 1:
                 copy.symlink_to((images / name).resolve())
                 continue
-            ImageOps.exif_transpose(photo).save(copy, quality=98, subsampling=0)  # keeps the rest of the EXIF data
+            turned = ImageOps.exif_transpose(photo)
+            options = {"quality": 98, "subsampling": 0} if copy.suffix.lower() in (".jpg", ".jpeg") else {}
+            turned.save(copy, exif=turned.getexif(), **options)  # all but the orientation
 
 
 def _step(folder: Path, step: str) -> float:
     """Processor seconds of one step, made unless it is there: STEP.json is written last."""
     record = folder / f"{step}.json"
     if not record.is_file():
+        earlier = _spent_earlier(folder) if step == "matches" else 0.0
         ended = run_module("bench.shape_colmap", [step, str(folder)], log=folder / f"{step}.log")
         if ended.returncode != 0:
             raise RuntimeError(f"COLMAP's {step} ended with {ended.returncode}: read {folder / f'{step}.log'}")
-        record.write_text(json.dumps({"cpu_s": ended.cpu_s}) + "\n")
+        record.write_text(json.dumps({"cpu_s": earlier + ended.cpu_s}) + "\n")
     return json.loads(record.read_text())["cpu_s"]
+
+
+def _spent_earlier(folder: Path) -> float:
+    """Processor seconds of matching in runs that were killed; their matches stay."""
+    spent = folder / SPENT
+    return json.loads(spent.read_text())["cpu_s"] if spent.is_file() else 0.0
 
 
 def fingerprint(images: Path, photos: tuple[str, ...]) -> str:
@@ -109,14 +121,26 @@ def extract(folder: Path) -> None:
 
 
 def match(folder: Path) -> None:
+    """COLMAP skips the pairs that the database holds already."""
     import pycolmap
 
-    shutil.copyfile(folder / "features.db", folder / "matches.db")  # one of a run that was killed is overwritten
-    for suffix in ("-wal", "-shm"):
-        (folder / f"matches.db{suffix}").unlink(missing_ok=True)
+    database, partial = folder / "matches.db", folder / "matches.partial"
+    if not database.is_file():
+        shutil.copyfile(folder / "features.db", partial)
+        partial.rename(database)
+    threading.Thread(target=_note_spent, args=(folder, _spent_earlier(folder)), daemon=True).start()
     options = pycolmap.FeatureMatchingOptions()
     options.num_threads = 1
-    pycolmap.match_exhaustive(folder / "matches.db", matching_options=options)
+    pycolmap.match_exhaustive(database, matching_options=options)
+
+
+def _note_spent(folder: Path, earlier: float) -> None:
+    """Every few seconds, how long matching has taken in all: a kill loses no more of it."""
+    while True:
+        time.sleep(NOTE_EVERY_S)
+        partial = folder / f"{SPENT}.partial"
+        partial.write_text(json.dumps({"cpu_s": earlier + time.process_time()}))
+        partial.rename(folder / SPENT)
 
 
 def make_models(folder: Path) -> None:
