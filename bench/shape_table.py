@@ -7,7 +7,7 @@ from bench.shape_measures import Measures
 from bench.shape_verdict import Status, Verdict
 
 WIDTHS = {
-    "set": 16, "by": 7, "placed": 7, "position %": 15, "rotation deg": 15, "focal %": 7, "local scale %": 13,
+    "set": 18, "by": 7, "placed": 7, "position %": 15, "rotation deg": 15, "focal %": 7, "local scale %": 13,
     "bend, scatter m": 15, "shape": 36, "CPU s": 16,
 }  # fmt: skip
 COLUMNS = tuple(WIDTHS)
