@@ -89,6 +89,8 @@ def summary(rows: list[tuple[ShapeSet, Row]]) -> str:
     lines = []
     for by in ("graphgs", "COLMAP"):
         synthetic = [(found, row) for found, row in rows if row.by == by and found.determined is not None]
+        if not synthetic:
+            continue
         good = sum(row.verdict.good for _, row in synthetic)
         easy = [row for found, row in synthetic if found.determined]
         needless, right = sum(row.verdict.needless for row in easy), sum(row.verdict.word == "right" for row in easy)
