@@ -71,21 +71,21 @@ def map_fine(
     judgement = (best.soundness, best.support)
     diagnosis = diagnose(photos, matches, prior, reconstruction, best.calls.witness, judgement, threads=threads)
     return Structure(
-        reconstruction,
-        edges,
-        inliers,
-        best.accepted,
-        best.method,
-        best.agreement,
-        best.compared_with,
-        len(matches.component),
-        tuple((entry.name, entry.reason) for entry in diagnosis.left_out),
-        rigs,
-        world,
-        diagnosis,
-        _cautions(best, reconstruction, world) + (() if gps is None else gps.describe()),
-        best.calls.calibration,
-        best.upheld,
+        reconstruction=reconstruction,
+        edges=edges,
+        inliers=inliers,
+        accepted=best.accepted,
+        method=best.method,
+        agreement=best.agreement,
+        compared_with=best.compared_with,
+        component=len(matches.component),
+        unregistered=tuple((entry.name, entry.reason) for entry in diagnosis.left_out),
+        rigs=rigs,
+        world=world,
+        diagnosis=diagnosis,
+        cautions=_cautions(best, reconstruction, world) + (() if gps is None else gps.describe()),
+        calibration=best.calls.calibration,
+        upheld=best.upheld,
     )
 
 
