@@ -42,6 +42,7 @@ WORKLOADS = {
     "structure-noise": Workload(
         "structure_noise", "pairs from noisy poses: 60 and 150 photos", cached=True, on_request=True
     ),
+    "shape": Workload("shape", "the shape of reconstructions, ours beside COLMAP's", on_request=True, options=True),
     "gpu-static": Workload(
         "gpu_static", "what the compiler says about the GPU's kernels; needs no GPU", same_everywhere=True
     ),
@@ -96,9 +97,11 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--update-baseline", action="store_true", help="store the results for this device")
     words = [word for word in sys.argv[1:] if word not in ("-h", "--help")]  # help comes last, when it is complete
     named = parser.parse_known_args(words)[0].only or []
-    for workload in (WORKLOADS[name] for name in named):
-        if workload.options:
-            import_module(f"bench.{workload.module}").add_arguments(parser)
+    with_options = [name for name in named if WORKLOADS[name].options]
+    if len(with_options) > 1:
+        parser.error(f"--only: {' and '.join(with_options)} have options of their own; run one after the other")
+    for name in with_options:
+        import_module(f"bench.{WORKLOADS[name].module}").add_arguments(parser)
     args = parser.parse_args()
     if args.device != "cpu" and not (wp.is_cuda_available() and torch.cuda.is_available()):
         parser.error(f"--device {args.device}: needs a CUDA device that both Warp and torch can use")

@@ -1,5 +1,6 @@
 """The commands beside run, pose and train: check, eval, render, synth."""
 
+import dataclasses
 import json
 import tempfile
 from collections import Counter
@@ -11,6 +12,7 @@ import cv2
 import numpy as np
 
 from graphgs.api import choose_device, settings
+from graphgs.config import Config
 from graphgs.console import RunReporter
 from graphgs.errors import DataError, UsageError
 from graphgs.evaluation.evaluate import evaluate, render_view
@@ -19,10 +21,14 @@ from graphgs.export.ply import read_ply
 from graphgs.forecast import forecast
 from graphgs.options import Options
 from graphgs.outputs import publish_pictures
-from graphgs.pipeline import VIEWS
+from graphgs.pipeline import VIEWS, decode_side
+from graphgs.progress import Reporter
 from graphgs.rendering.splats import Splats
 from graphgs.scene.views import Views
-from graphgs.sources import scan
+from graphgs.sources import Scan, scan
+from graphgs.sources.look import look_at_given
+from graphgs.structure.given_sample import sample
+from graphgs.structure.held import hold_given
 from graphgs.synth.street import StreetConfig, write_street
 from graphgs.threads import get_num_threads
 from graphgs.workspace import Workspace, make_writable, write_json
@@ -52,7 +58,27 @@ def check(source: Path, options: Options) -> Iterator[str]:
             f"{source}: {len(found.names)} usable photos; at least 3 are needed", hint="add photos that overlap by half"
         )
     threads = options.threads or get_num_threads()
+    if config.structure.poses != "prior":
+        yield from _given_lines(config, source, found, threads)
     yield from forecast(config, found.sizes, threads=threads).lines()
+
+
+def _given_lines(config: Config, source: Path, found: Scan, threads: int) -> Iterator[str]:
+    """What a sample of the photos says of the poses that came with them, as `pose` would. Raises what it would."""
+    if found.kind == "photos":
+        return
+    sources = dataclasses.replace(config.sources, decode_max_side=decode_side(config))
+    with tempfile.TemporaryDirectory(prefix="graphgs-check-") as folder:
+        photos = look_at_given(sources, source, Path(folder) / "photos", sample, threads=threads)
+        if photos is None or len(photos.given.names) < 2:
+            return
+        held = hold_given(
+            config.structure, sources, photos, scratch=Path(folder) / "held", reporter=Reporter(), threads=threads
+        )
+    refusal = held.refusal()
+    if refusal is not None and not config.run.allow_partial:
+        raise refusal
+    yield f"  {'; '.join(held.cautions) or held.describe()}"
 
 
 def evaluate_scene(scene: Path, *, device: str) -> Iterator[str]:

@@ -63,6 +63,7 @@ PRESETS: dict[Preset, dict[str, dict[str, Any]]] = {
 # What numbers may be: at least 0, shares at most 1, and otherwise as said here.
 _AT_LEAST = {
     "structure.fine_first_octave": -1, "structure.rig_baseline_m": 1e-4, "points.dense_partners": 2,
+    "sources.given_scale": 1e-4,
 } | dict.fromkeys(
     (
         "training.steps", "training.max_splats", "training.sh_degree_interval", "training.densify_interval",

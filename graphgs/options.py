@@ -29,6 +29,8 @@ class Options:
     makes it metric, with z up and y north."""
     poses: Literal["keep", "refine", "prior"] | None = None
     """Poses the input carries: keep, refine or prior (choose pairs only)."""
+    given_axes: Literal["auto", "opencv", "opengl"] | None = None
+    """Camera axes of these poses: auto (as their format has them), opencv or opengl."""
     pairs: Literal["graphgs", "paper", "exhaustive", "sequential"] | None = None
     """Pair selection: graphgs, paper, exhaustive, sequential."""
     filter: Literal["frustum", "octant", "paper-strict", "paper-loose", "none"] | None = None
@@ -48,6 +50,7 @@ SETTING_OF_OPTION = {
     "prior": "run.prior",
     "max_side": "structure.max_side",
     "poses": "structure.poses",
+    "given_axes": "sources.given_axes",
     "steps": "training.steps",
     "max_splats": "training.max_splats",
     "pairs": "pairing.pairs",

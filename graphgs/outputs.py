@@ -5,6 +5,7 @@ import os
 import platform
 import shutil
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,9 @@ from graphgs.export.colmap import write_colmap
 from graphgs.export.ply import write_ply
 from graphgs.memory import peak_rss_bytes
 from graphgs.pipeline import Posed, Run, Trained
+from graphgs.scene.origin import AT_ZERO, describe
 from graphgs.stages import EVALUATION
+from graphgs.structure.given_verdict import FITS, LARGEST_MEDIAN, HeldPoses
 from graphgs.structure.pair_set import KIND_NAMES
 from graphgs.structure.result import Structure
 from graphgs.structure.rotation_only import LARGEST_TURNING_SHARE
@@ -63,10 +66,10 @@ def write_outputs(
     posed.graph.save(output / "graph.json")
     write_colmap(
         output / "colmap", posed.views, posed.structure.reconstruction, posed.photos,
-        threads=run.threads, reporter=run.reporter,
+        origin=posed.structure.origin, threads=run.threads, reporter=run.reporter,
     )  # fmt: skip
     if made is not None:
-        write_ply(made.trained.splats, output / "splat.ply")
+        write_ply(made.trained.splats, output / "splat.ply", origin=posed.structure.origin)
         publish_pictures(run.workspace.cache / EVALUATION.folder, output / "eval")
     run.seconds["outputs"] = round(time.perf_counter() - started, 3)
     metrics = collect_metrics(run, posed, made, versions, partial)
@@ -96,6 +99,8 @@ def collect_metrics(
         "registered": len(posed.structure.reconstruction.names),
         "rigs": [rig.record() for rig in posed.structure.rigs],
         "world": plain(posed.structure.world),
+        "origin": list(posed.structure.origin),
+        "given_poses": None if posed.held is None else posed.held.record(),
         "cautions": list(posed.structure.cautions),
         "lenses": _lenses(posed.structure),
         "groups": [{"name": group.name, "photos": list(group.photos)} for group in posed.structure.grouping.groups],
@@ -140,9 +145,15 @@ def report_data(
         steps_executed=metrics["steps_executed"],
         stage_seconds=metrics["seconds"],
         peak_rss_bytes=peak_rss_bytes(),
-        warnings=tuple(run.reporter.warnings) + ((posed.photos.given_note,) if posed.photos.given_note else ()),
+        warnings=tuple(run.reporter.warnings) + _notes(posed),
         outputs=_files(made is not None),
     )
+
+
+def _notes(posed: Posed) -> tuple[str, ...]:
+    """What a reader should know besides the warnings: which poses were used, and where the world's zero lies."""
+    origin = posed.structure.origin
+    return tuple(filter(None, (posed.photos.given_note, describe(origin) if origin != AT_ZERO else "")))
 
 
 def device_name(device: str) -> str:
@@ -240,7 +251,7 @@ def _structure_figures(run: Run, posed: Posed) -> StructureFigures:
             Check(f"scale {place.where}, which the other reconstruction has otherwise", f"{place.ratio:.3f}",
                   "1 within 3 %, by points placed from either side alone", True)
         )  # fmt: skip
-    checks += [Check(*check) for check in _soundness_checks(structure)]
+    checks += [Check(*check) for check in (*_soundness_checks(structure), *_given_checks(posed.held))]
     calibration = structure.calibration
     focals = ", ".join(dict.fromkeys(f"{camera.focal_and_center[0]:.0f} px" for camera in model.cameras))
     return StructureFigures(
@@ -285,6 +296,19 @@ def _soundness_checks(structure: Structure) -> list[tuple[str, str, str, bool]]:
         ("pairs explained by a turn on the spot", f"{100 * sound.rotation_share:.0f} %",
          f"below {100 * LARGEST_TURNING_SHARE:g} %", sound.rotation_share < LARGEST_TURNING_SHARE),
     ]  # fmt: skip
+
+
+def _given_checks(held: HeldPoses | None) -> Iterator[tuple[str, str, str, bool]]:
+    """Likewise, of given poses and the points that came with them."""
+    if held is None:
+        return
+    for figures, what in ((held.matches, "matches"), (held.observations, "observations of given points")):
+        if figures is not None:
+            yield (f"{what} that contradict the given poses", f"{100 * figures.contradicted:.1f} %",
+                   f"below {100 * FITS:g} %", figures.contradicted < FITS)  # fmt: skip
+            limit = figures.median_px / max(figures.median, 1e-12) * LARGEST_MEDIAN
+            yield (f"median distance of {what} from the given poses", f"{figures.median_px:.2f} px",
+                   f"at most {limit:.1f} px", figures.median <= LARGEST_MEDIAN)  # fmt: skip
 
 
 def _training_curve(made: Made) -> TrainingCurve:

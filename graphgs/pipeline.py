@@ -1,11 +1,13 @@
 """The order of stages: known here and nowhere else.
 
 photos -> coarse -> pairs -> matches -> mapping -> views -> graph -> dense -> points -> training -> evaluation
+Poses that came with the photos are held against them before all else.
 Each stage is a function from artefacts to an artefact; the workspace keeps them and decides what must run again.
 """
 
 import dataclasses
 import fnmatch
+import functools
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,12 +22,14 @@ from graphgs.forecast import forecast
 from graphgs.graph import CameraGraph
 from graphgs.graph.build import build_camera_graph
 from graphgs.points import DenseCloud, PrunedPoints, dense_cloud, initial_points
+from graphgs.scene.origin import AT_ZERO, describe
 from graphgs.scene.views import Views
 from graphgs.sources import Photos, fingerprint, load_photos
 from graphgs.stages import (
     COARSE,
     DENSE,
     EVALUATION,
+    GIVEN,
     GRAPH,
     MAPPING,
     MATCHES,
@@ -40,6 +44,8 @@ from graphgs.structure.candidates import candidate_pairs
 from graphgs.structure.extra_pairs import read_extra_pairs
 from graphgs.structure.feature_cache import FeatureCache
 from graphgs.structure.given import keep_given, map_given, needs_matching
+from graphgs.structure.given_verdict import HeldPoses
+from graphgs.structure.held import hold_given
 from graphgs.structure.mapping import map_fine
 from graphgs.structure.matching import Matches, match_pairs
 from graphgs.structure.pairing import Pairs
@@ -54,6 +60,10 @@ from graphgs.workspace import Outcome, Stage, Workspace, digest
 # The settings each stage reads (patterns over stage.field); a setting that changes reruns what follows from it.
 READS: dict[Stage, tuple[str, ...]] = {
     PHOTOS: ("sources.*",),
+    GIVEN: (
+        "structure.poses", "structure.coarse_max_side", "structure.coarse_features", "structure.sequence_window",
+        "structure.retrieval_*",
+    ),
     COARSE: (
         "run.seed", "run.prior", "structure.poses", "structure.coarse_*", "structure.sequence_window",
         "structure.retrieval_*", "structure.learned_*", "structure.min_registered",
@@ -81,6 +91,7 @@ WITHOUT_INFLUENCE = {
 
 _TITLES = {
     PHOTOS: "Reading the photos",
+    GIVEN: "Holding the given poses against the photos",
     COARSE: "Coarse poses from small images",
     PAIRS: "Choosing pairs",
     MATCHES: "Matching the chosen pairs",
@@ -105,6 +116,7 @@ class Posed:
     prior: Prior | None = None
     pairs: Pairs | None = None
     matches: Matches | None = None
+    held: HeldPoses | None = None  # None: the poses are our own
 
     def with_poses(
         self,
@@ -190,23 +202,49 @@ def find_poses(run: Run) -> Posed:
         sizes = np.array([(photo.width, photo.height) for photo in photos.photos]).reshape(-1, 2)
         reporter.info(forecast(config, sizes, threads=threads).line(run.device))
     given = photos.given is not None and config.structure.poses != "prior"
+    held = _held(run, photos) if given else None
     if given and not needs_matching(config.structure, photos):
         structure = run.stage(
-            MAPPING, [PHOTOS], lambda folder, scratch: keep_given(config.structure, photos), Structure.load
+            MAPPING,
+            [PHOTOS, GIVEN],
+            lambda folder, scratch: keep_given(config.structure, photos, held.cautions),
+            Structure.load,
         )
-        return _viewed(run, photos, structure, None, None, None)
+        return _viewed(run, photos, structure, None, None, None, held)
     prior, pairs, matches = _matched(run, photos)
-    map_photos = map_given if given else map_fine
+    map_photos = functools.partial(map_given, cautions=held.cautions) if given else map_fine
     structure = run.stage(
         MAPPING,
-        [PHOTOS, COARSE, MATCHES],
+        [PHOTOS, GIVEN, COARSE, MATCHES],
         lambda folder, scratch: map_photos(
             config.structure, photos, matches, prior,
             scratch=scratch, reporter=reporter, threads=threads, seed=config.run.seed,
         ),
         Structure.load,
     )  # fmt: skip
-    return _viewed(run, photos, structure, prior, pairs, matches)
+    return _viewed(run, photos, structure, prior, pairs, matches, held)
+
+
+def _held(run: Run, photos: Photos) -> HeldPoses:
+    """What the photos say of the poses that came with them. Raises DataError for poses that cannot be right, unless
+    partial results are asked for."""
+    config = run.config
+    held = run.stage(
+        GIVEN,
+        [PHOTOS],
+        lambda folder, scratch: hold_given(
+            config.structure, config.sources, photos,
+            scratch=scratch, reporter=run.reporter, threads=run.threads,
+            cache=FeatureCache(run.workspace.cache / "features"),
+        ),
+        HeldPoses.load,
+    )  # fmt: skip
+    refusal = held.refusal()
+    if refusal is not None and not config.run.allow_partial:
+        raise refusal
+    if held.verdict == "open":
+        run.reporter.info(held.describe())
+    return held
 
 
 def resume_poses(run: Run) -> Posed:
@@ -229,7 +267,8 @@ def resume_poses(run: Run) -> Posed:
     pairs = run.found(PAIRS, Pairs.load, from_matches)
     matches = run.found(MATCHES, Matches.load, mapping.inputs)
     structure = run.found(MAPPING, Structure.load, (mapping.key,))
-    return _viewed(run, photos, structure, prior, pairs, matches)
+    held = run.found(GIVEN, HeldPoses.load, mapping.inputs)
+    return _viewed(run, photos, structure, prior, pairs, matches, held)
 
 
 def make_scene(run: Run, posed: Posed) -> tuple[Trained, Evaluation]:
@@ -337,9 +376,12 @@ def _viewed(
     prior: Prior | None,
     pairs: Pairs | None,
     matches: Matches | None,
+    held: HeldPoses | None,
 ) -> Posed:
     for caution in structure.cautions:  # of a reused structure as well
         run.reporter.warn(caution)
+    if structure.origin != AT_ZERO:
+        run.reporter.info(describe(structure.origin))
     model = structure.reconstruction
     views = run.stage(
         VIEWS,
@@ -357,7 +399,7 @@ def _viewed(
         ),
         CameraGraph.load,
     )
-    return Posed(photos, structure, views, graph, prior, pairs, matches)
+    return Posed(photos, structure, views, graph, prior, pairs, matches, held)
 
 
 def _kinds(names: tuple[str, ...], edges: np.ndarray, pairs: Pairs | None) -> np.ndarray | None:

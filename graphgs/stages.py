@@ -4,6 +4,7 @@ from graphgs.workspace import Stage
 
 PHOTOS = Stage(1, "photos", 3)
 COARSE = Stage(2, "coarse", 4)
+GIVEN = Stage(2, "given", 1)  # only where poses came with the photos; its place is before COARSE
 PAIRS = Stage(3, "pairs", 3)
 MATCHES = Stage(4, "matches", 3)
 MAPPING = Stage(5, "mapping", 6)

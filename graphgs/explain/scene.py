@@ -23,6 +23,7 @@ def scene_facts(found: Artefacts) -> dict[str, Any]:
         "method": structure.method,
         "doubts": list(structure.doubts),
         "cautions": list(structure.cautions),
+        "origin": list(structure.origin),
         "lenses": None if structure.calibration is None else structure.calibration.describe(),
         "agreement": None if agreed is None else dataclasses.asdict(agreed) | {"with": structure.compared_with},
         "contradicted_share": None if diagnosis is None else diagnosis.soundness.contradicted_share,

@@ -12,6 +12,9 @@ def scene_lines(facts: dict[str, Any]) -> Iterator[str]:
     yield f"poses {verdict} ({facts['method']})"
     for caution in facts["cautions"]:
         yield f"  caution: {caution}"
+    if any(facts["origin"]):
+        place = ", ".join(f"{v:.15g}" for v in facts["origin"])
+        yield f"  positions are relative to ({place}) in the frame of the given poses"
     if facts["lenses"]:
         yield f"lenses: {facts['lenses']}"
     yield from _sureness(facts)

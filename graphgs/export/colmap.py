@@ -13,6 +13,7 @@ from graphgs.errors import DataError
 from graphgs.progress import Reporter
 from graphgs.scene.camera import Camera
 from graphgs.scene.colmap import write_model
+from graphgs.scene.origin import AT_ZERO, Origin, moved_back
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.scene.views import Views
 from graphgs.sources.photos import Photos
@@ -28,11 +29,15 @@ def write_colmap(
     photos: Photos
     | None = None,  # what the views were made from; None leaves original/ at the size they were decoded to
     *,
+    origin: Origin = AT_ZERO,  # of the world, in the frame that original/ is written in
     threads: int = 1,
     reporter: Reporter | None = None,
 ) -> None:
     """Write images/ + sparse/0 (undistorted, PINHOLE) and original/ (the estimated cameras with their distortion, for
     the upright photos at their own size). `folder` is replaced as a whole.
+
+    sparse/0 is in the world's frame, near zero: other trainers are as single in their precision as ours. original/ is
+    in the frame that given poses came in.
 
     A photo keeps its name when it is a .jpg, .jpeg or .png; to any other ".png" is appended. Raises DataError when a
     view is not part of the reconstruction.
@@ -43,7 +48,7 @@ def write_colmap(
     decoded = () if photos is None else photos.photos
     original_sizes = {photo.name: (photo.original_width, photo.original_height) for photo in decoded}
     write_model(undistorted_model(views, reconstruction), partial / "sparse" / "0", names=names)
-    write_model(original_model(reconstruction, original_sizes), partial / "original")
+    write_model(moved_back(original_model(reconstruction, original_sizes), origin), partial / "original")
     _write_images(partial / "images", names, views, threads, reporter or Reporter())
     if folder.exists():
         shutil.rmtree(folder)

@@ -1,4 +1,5 @@
-"""splat.ply: the 62-float layout that every 3D Gaussian viewer reads, and a comment `near` that ours does, too."""
+"""splat.ply: the 62-float layout that every 3D Gaussian viewer reads, and a comment `near` that ours does, too. A
+comment `origin` says for people and programs where the scene's zero lies in the frame its poses came in."""
 
 import math
 import os
@@ -9,6 +10,7 @@ import torch
 
 from graphgs.errors import DataError, DiskError
 from graphgs.rendering.splats import NEAR, Splats
+from graphgs.scene.origin import AT_ZERO, Origin
 
 PROPERTIES = (
     *("x", "y", "z", "nx", "ny", "nz"),
@@ -21,8 +23,9 @@ PROPERTIES = (
 MAX_HEADER_BYTES = 64 * 1024
 
 
-def write_ply(splats: Splats, path: Path) -> None:
-    """Write binary little-endian, whole or not at all. Harmonics above `splats.sh_degree` are written as zero."""
+def write_ply(splats: Splats, path: Path, *, origin: Origin = AT_ZERO) -> None:
+    """Write binary little-endian, whole or not at all. Harmonics above `splats.sh_degree` are written as zero.
+    Positions are written as they are, relative to `origin`."""
     sh_coeffs = splats.sh_coeffs.detach().cpu().clone()
     sh_coeffs[:, (splats.sh_degree + 1) ** 2 :] = 0.0
     columns = [
@@ -41,6 +44,7 @@ def write_ply(splats: Splats, path: Path) -> None:
         "ply",
         "format binary_little_endian 1.0",
         f"comment near {splats.near!r}",
+        *([] if origin == AT_ZERO else ["comment origin {!r} {!r} {!r}".format(*origin)]),
         f"element vertex {len(splats)}",
     ]
     header += [f"property float {name}" for name in PROPERTIES] + ["end_header", ""]

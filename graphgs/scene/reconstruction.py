@@ -51,6 +51,26 @@ class Reconstruction:
     def camera_of(self, image: int) -> Camera:
         return self.cameras[int(self.camera_ids[image])]
 
+    def of_images(
+        self,
+        chosen: np.ndarray,  # [M] int, sorted
+    ) -> "Reconstruction":
+        """Only some of the images; points stay, their tracks without the others."""
+        new_of_old = np.full(len(self.names), -1, np.int32)
+        new_of_old[chosen] = np.arange(len(chosen))
+        images = new_of_old[self.track_images]
+        stays = images >= 0
+        return dataclasses.replace(
+            self,
+            names=tuple(self.names[k] for k in chosen),
+            camera_ids=self.camera_ids[chosen],
+            rotations=self.rotations[chosen],
+            translations=self.translations[chosen],
+            track_offsets=np.concatenate([[0], np.cumsum(stays)])[self.track_offsets].astype(np.int64),
+            track_images=images[stays],
+            track_xy=self.track_xy[stays],
+        )
+
     def transformed(self, new_from_old: Similarity) -> "Reconstruction":
         """The same scene in another world frame."""
         rotations = self.rotations @ new_from_old.rotation.T

@@ -1,5 +1,6 @@
 """The sources stage: from an INPUT to `Photos`."""
 
+import dataclasses
 import hashlib
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -10,13 +11,16 @@ import numpy as np
 
 from graphgs.errors import DataError, DiskError, OutOfMemoryError
 from graphgs.progress import Reporter
+from graphgs.scene.origin import AT_ZERO, near_zero
 from graphgs.sources.config import SourcesConfig
 from graphgs.sources.decode import (
     MAX_PIXELS,
     Decoded,
+    Header,
     UnusableError,
     decode,
     decode_mask,
+    decoded_size,
     decoding,
     encode_png,
     open_header,
@@ -25,7 +29,7 @@ from graphgs.sources.decode import (
 from graphgs.sources.given import fit_to_photos
 from graphgs.sources.layout import Layout, find_layout
 from graphgs.sources.photos import Photo, Photos, Skipped
-from graphgs.sources.poses import given_poses
+from graphgs.sources.poses import axes_in_use, given_poses
 from graphgs.sources.rigs import find_rigs
 
 LEAST_PHOTOS = 3  # a scene needs three views
@@ -48,17 +52,17 @@ def load_photos(
     Raises UsageError for a missing input, DataError with fewer than 3 usable photos or unusable poses.
     """
     layout = find_layout(source, exclude=exclude, rigs=config.rigs == "auto")
-    _make(folder / "photos")
-    _make(folder / "masks")
+    make_folder(folder / "photos")
+    make_folder(folder / "masks")
     with decoding():
-        poses = given_poses(layout)
+        poses = given_poses(layout, config)
         photos, skipped = _decode_all(config, layout, folder, reporter, threads)
     skipped = tuple(sorted((*layout.refused, *skipped), key=lambda s: s.name))
     _check_enough(source, photos, skipped)
-    given = fit_to_photos(poses, photos) if poses is not None else None
+    given, origin = near_zero(fit_to_photos(poses, photos)) if poses is not None else (None, AT_ZERO)
     sizes = np.array([(photo.original_width, photo.original_height) for photo in photos])
     rigs = find_rigs(tuple(photo.name for photo in photos), sizes) if config.rigs == "auto" else ()
-    result = Photos(folder, photos, skipped, given, layout.note, rigs)
+    result = Photos(folder, photos, skipped, given, layout.note, rigs, origin, axes_in_use(config, layout))
     for file in skipped[:SHOWN]:
         reporter.warn(f"{file.name}: skipped: {file.reason}")
     if len(skipped) > SHOWN:
@@ -85,7 +89,7 @@ def load_photos(
     return result
 
 
-class _PixelBudget:
+class PixelBudget:
     """Lets threads decode at once as long as their photos together stay below one photo of the largest size."""
 
     def __init__(self):
@@ -108,12 +112,12 @@ class _PixelBudget:
 def _decode_all(
     config: SourcesConfig, layout: Layout, folder: Path, reporter: Reporter, threads: int
 ) -> tuple[tuple[Photo, ...], list[Skipped]]:
-    budget = _PixelBudget()
+    budget = PixelBudget()
     photos, skipped = [], []
     # Threads, not processes: Pillow and OpenCV decode and encode outside of Python's lock.
     pool = ThreadPoolExecutor(max_workers=threads)
     try:
-        jobs = [pool.submit(_one, config, layout, folder, budget, i) for i in range(len(layout.names))]
+        jobs = [pool.submit(decode_photo, config, layout, folder, budget, i) for i in range(len(layout.names))]
         for done, (name, job) in enumerate(zip(layout.names, jobs, strict=True), 1):
             try:
                 photos.append(job.result())
@@ -129,7 +133,7 @@ def _decode_all(
     return tuple(photos), skipped
 
 
-def _one(config: SourcesConfig, layout: Layout, folder: Path, budget: _PixelBudget, index: int) -> Photo:
+def decode_photo(config: SourcesConfig, layout: Layout, folder: Path, budget: PixelBudget, index: int) -> Photo:
     """Decode one photo and its mask, write them, and say what is known. Raises UnusableError."""
     name = layout.names[index]
     data = read_file(layout.root / name)
@@ -137,23 +141,30 @@ def _one(config: SourcesConfig, layout: Layout, folder: Path, budget: _PixelBudg
     with budget.hold(header.width * header.height):
         decoded = decode(data, config.decode_max_side)
         mask = _mask(config, layout, name, decoded)
-    file = f"{index:06d}.png"
-    _write(folder / "photos" / file, encode_png(decoded.pixels))
-    if mask is not None:
-        _write(folder / "masks" / file, encode_png(mask))
-    height, width = decoded.pixels.shape[:2]
+    photo = describe_photo(config, name, index, header, sha256=hashlib.sha256(data).hexdigest())
+    write_file(folder / photo.pixels, encode_png(decoded.pixels))
+    if mask is None:
+        return photo
+    photo = dataclasses.replace(photo, mask=photo.pixels.replace("photos/", "masks/"))
+    write_file(folder / photo.mask, encode_png(mask))
+    return photo
+
+
+def describe_photo(config: SourcesConfig, name: str, index: int, header: Header, *, sha256: str = "") -> Photo:
+    """What is known of a photo without its pixels; it has no mask yet. `index` counts the layout's names."""
+    width, height = decoded_size(header, config.decode_max_side)
     exif = header.exif
     return Photo(
         name=name,
-        pixels=f"photos/{file}",
+        pixels=f"photos/{index:06d}.png",
         width=width,
         height=height,
         original_width=header.width,
         original_height=header.height,
-        mask=f"masks/{file}" if mask is not None else None,
+        mask=None,
         focal_px=config.focal_px * width / header.width if config.focal_px else exif.focal_px(width, height),
         camera_key=f"{PurePosixPath(name).parent}|{header.width}x{header.height}|{exif.camera}",
-        sha256=hashlib.sha256(data).hexdigest(),
+        sha256=sha256,
         gps=exif.gps,
         time=exif.time,
         exif_readable=exif.readable,
@@ -191,14 +202,14 @@ def _check_enough(source: Path, photos: tuple[Photo, ...], skipped: tuple[Skippe
     )
 
 
-def _make(folder: Path) -> None:
+def make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise DiskError(f"{folder}: cannot be made: {error.strerror}", hint="choose another OUTPUT") from None
 
 
-def _write(path: Path, data: bytes) -> None:
+def write_file(path: Path, data: bytes) -> None:
     try:
         path.write_bytes(data)
     except OSError as error:

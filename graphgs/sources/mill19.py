@@ -37,7 +37,7 @@ def read_mill19(folder: Path, names: tuple[str, ...]) -> Transforms:
             frames.append(_frame(name, read_pt(path)))
         except (OSError, ValueError) as error:
             raise DataError(f"{path}: {error}", hint=HINT) from None
-    return Transforms(folder / "train" / "metadata", tuple(frames))
+    return Transforms(folder / "train" / "metadata", tuple(frames), axes="opengl")
 
 
 def _frame(name: str, data) -> Frame:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from graphgs.scene.origin import AT_ZERO, Origin
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.sources.rigs import Rig
 
@@ -58,6 +59,8 @@ class Photos:
     given: Reconstruction | None = None  # poses the input carries; cameras at the decoded size, names = photo names
     given_note: str = ""  # where `given` comes from, or which poses lie beside the photos and were not used
     rigs: tuple[Rig, ...] = ()  # cameras that seem to have moved together
+    origin: Origin = AT_ZERO  # of `given`, in the frame of the input
+    given_axes: str = "opencv"  # opencv or opengl: the camera axes that `given` was read with
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -86,6 +89,8 @@ class Photos:
             "skipped": [dataclasses.asdict(skipped) for skipped in self.skipped],
             "given": self.given is not None,
             "given_note": self.given_note,
+            "origin": self.origin,
+            "given_axes": self.given_axes,
             "rigs": [{"folders": rig.folders, "photos": rig.photos.tolist()} for rig in self.rigs],
         }
         (folder / "photos.json").write_text(json.dumps(header, indent=1))
@@ -101,4 +106,6 @@ class Photos:
             given=Reconstruction.load(folder / "given") if header["given"] else None,
             given_note=header["given_note"],
             rigs=tuple(Rig(tuple(r["folders"]), np.array(r["photos"], dtype=np.int64)) for r in header["rigs"]),
+            origin=tuple(header.get("origin", AT_ZERO)),  # older ones have none
+            given_axes=header.get("given_axes", "opencv"),
         )

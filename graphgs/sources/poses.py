@@ -8,8 +8,10 @@ from graphgs.errors import DataError, UsageError
 from graphgs.scene.camera import Camera
 from graphgs.scene.colmap import read_model
 from graphgs.scene.reconstruction import Reconstruction
+from graphgs.sources.config import SourcesConfig
 from graphgs.sources.decode import UnusableError, read_header
 from graphgs.sources.given import fit_to_photos, match_names
+from graphgs.sources.given_mends import mended
 from graphgs.sources.layout import Layout
 from graphgs.sources.nuscenes import read_pose_json
 from graphgs.sources.photos import Photos
@@ -19,15 +21,27 @@ TUM_TOLERANCE_S = 0.02  # between a photo's timestamp name and its pose, as TUM'
 LEAST = 3  # poses below this cannot guide anything
 
 
-def given_poses(layout: Layout) -> Reconstruction | None:
-    """The poses that come with the input, at the sizes their file states. Raises DataError if it cannot be used."""
+def given_poses(layout: Layout, config: SourcesConfig) -> Reconstruction | None:
+    """The poses that come with the input, at the sizes their file states, read as the settings say. Raises DataError if
+    it cannot be used."""
     if layout.kind == "colmap":
-        return read_model(layout.poses)
-    if layout.transforms is not None:
-        return layout.transforms.reconstruction(lambda name: _size_of(layout.root / name))
-    if layout.kind == "kitti":
-        return _kitti(layout)
-    return None
+        poses = read_model(layout.poses)
+    elif layout.transforms is not None:
+        poses = layout.transforms.reconstruction(lambda name: _size_of(layout.root / name))
+    elif layout.kind == "kitti":
+        poses = _kitti(layout)
+    else:
+        return None
+    return mended(poses, config, _format_axes(layout))
+
+
+def axes_in_use(config: SourcesConfig, layout: Layout) -> str:
+    """opencv or opengl: the camera axes that given poses are read with."""
+    return _format_axes(layout) if config.given_axes == "auto" else config.given_axes
+
+
+def _format_axes(layout: Layout) -> str:
+    return "opencv" if layout.transforms is None else layout.transforms.axes
 
 
 def read_poses(file: Path, photos: Photos) -> tuple[tuple[str, ...], np.ndarray, np.ndarray]:

@@ -64,6 +64,7 @@ class Transforms:
 
     path: Path
     frames: tuple[Frame, ...]
+    axes: str = "opencv"  # of the cameras in the file; `frames` have ours
 
     def renamed(self, prefix: str) -> "Transforms":
         """Names relative to the folder `prefix`, below which all of them lie."""
@@ -111,7 +112,7 @@ def read_transforms(path: Path) -> Transforms:
         raise DataError(
             f"{path}: {twice!a} is named by two frames", hint="each image can have one pose; remove the other"
         )
-    return Transforms(path, tuple(sorted(frames, key=lambda frame: frame.name)))
+    return Transforms(path, tuple(sorted(frames, key=lambda frame: frame.name)), axes="opengl")
 
 
 def _load(path: Path) -> dict:

@@ -31,8 +31,9 @@ def needs_matching(config: StructureConfig, photos: Photos) -> bool:
     return config.poses != "keep" or photos.given is None or len(photos.given.points) == 0
 
 
-def keep_given(config: StructureConfig, photos: Photos) -> Structure:
-    """The poses and points of the input, untouched. Edges are pairs that see `config.min_inliers` points together."""
+def keep_given(config: StructureConfig, photos: Photos, cautions: tuple[str, ...] = ()) -> Structure:
+    """The poses and points of the input, untouched. Edges are pairs that see `config.min_inliers` points together.
+    `cautions` are what holding them against the photos left to be said."""
     given = photos.given
     edges, shared = covisible_pairs(given, least=config.min_inliers)
     return Structure(
@@ -46,6 +47,8 @@ def keep_given(config: StructureConfig, photos: Photos) -> Structure:
         grouping=Grouping.one(given.names),
         unregistered=_without_pose(photos),
         rigs=rig_poses(photos, given),
+        cautions=cautions,
+        origin=photos.origin,
     )
 
 
@@ -59,6 +62,7 @@ def map_given(
     reporter: Reporter,
     threads: int,
     seed: int,
+    cautions: tuple[str, ...] = (),
 ) -> Structure:
     """Points for the given poses; with `config.poses` = refine also bundle adjustment, compared with what was given.
 
@@ -99,7 +103,8 @@ def map_given(
         else _without_pose(photos),
         rigs=rig_poses(photos, reconstruction),
         diagnosis=diagnosis,
-        cautions=diagnosis.cautions(matches),
+        cautions=cautions + diagnosis.cautions(matches),
+        origin=photos.origin,
     )
 
 

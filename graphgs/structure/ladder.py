@@ -25,6 +25,7 @@ from graphgs.structure.scale_across import ScaleAcross
 from graphgs.structure.soundness import Soundness
 from graphgs.structure.weak_places import disagreement, weak_places
 
+_NEARLY_ALL = 0.8  # of the connected photos
 _COMMON_SHARE = 0.5  # agreement on fewer of the photos says nothing about the rest
 _MOST_FOR_EVERY_PAIR = 150  # photos
 
@@ -73,11 +74,11 @@ def climb(calls: ModelCalls, coarse: Reconstruction | None) -> Candidate | None:
 
 
 def _climb(ladder: "_Ladder", calls: ModelCalls) -> None:
-    if ladder.steps(calls, "", more_pairs_follow=True):
+    if ladder.steps(calls, ""):
         return
     wider = with_more_pairs(calls, "4_more_pairs", wider_pairs(calls.prior))
     most, note = (calls, "") if wider is None else (wider, ", more pairs")
-    if ladder.steps(most, note, more_pairs_follow=False):
+    if ladder.steps(most, note):
         return
     if all(photo.focal_px for photo in calls.photos.photos):
         model = most.globally("5_global")
@@ -88,7 +89,7 @@ def _climb(ladder: "_Ladder", calls: ModelCalls) -> None:
     if len(calls.photos.photos) <= _MOST_FOR_EVERY_PAIR:
         everything = with_more_pairs(most, "6_every_pair", every_pair(calls.prior))
         if everything is not None:
-            ladder.steps(everything, ", every pair", more_pairs_follow=False)
+            ladder.steps(everything, ", every pair")
 
 
 class _Ladder:
@@ -114,9 +115,9 @@ class _Ladder:
                 self.best = found
         return self.best is not None and self.best.accepted
 
-    def steps(self, calls: ModelCalls, note: str, *, more_pairs_follow: bool) -> bool:
-        """Steps 1 to 3 on the matches of `calls`. Step 3 waits where nothing is wrong with the poses but that too few
-        photos have one: then more pairs help, and another way of mapping does not."""
+    def steps(self, calls: ModelCalls, note: str) -> bool:
+        """Steps 1 to 3 on the matches of `calls`. Not step 3 where nothing is wrong with the poses but that too few
+        photos have one: then more pairs help, and mapping the same ones in the same way again does not."""
         first = None
         if self._coarse is not None:
             calls, first = calibrated(calls, self._coarse, "1_triangulated")
@@ -128,7 +129,7 @@ class _Ladder:
                 calls, extended = calibrated(calls, extended, "2_adjusted")
             if self.judge(calls, extended, "2_adjusted", f"coarse poses, extended{note}"):
                 return True
-        if more_pairs_follow and self._merely_incomplete(calls):
+        if self._merely_incomplete(calls):
             return False
         model = calls.incremental("3_incremental")
         if model is not None:
@@ -139,7 +140,10 @@ class _Ladder:
 
     def _merely_incomplete(self, calls: ModelCalls) -> bool:
         best = self.best
-        return best is not None and best.agreement is not None and best.agreement.within(calls.config) and best.sound
+        if best is None or best.agreement is None or not best.sound:
+            return False
+        nearly_all = len(best.reconstruction.names) >= _NEARLY_ALL * len(calls.matches.component)
+        return nearly_all and best.agreement.within(calls.config)
 
     def _halves_agree(self, calls: ModelCalls, model: Reconstruction, note: str) -> bool:
         """A second opinion on the incremental model: two more from disjoint halves of the tracks, which must agree with

@@ -73,21 +73,23 @@ def map_fine(
     grouping = grouping_of(config, matches, prior, reconstruction)
     diagnosis = diagnose(photos, matches, grouping, reconstruction, best.calls.witness, judgement, threads=threads)
     return Structure(
-        reconstruction,
-        edges,
-        inliers,
-        best.accepted,
-        best.method,
-        best.agreement,
-        best.compared_with,
-        grouping,
-        tuple((entry.name, entry.reason) for entry in diagnosis.left_out),
-        rigs,
-        world,
-        diagnosis,
-        _cautions(best, reconstruction, world) + (() if gps is None else gps.describe()) + diagnosis.cautions(matches),
-        best.calls.calibration,
-        best.upheld,
+        reconstruction=reconstruction,
+        edges=edges,
+        inliers=inliers,
+        accepted=best.accepted,
+        method=best.method,
+        agreement=best.agreement,
+        compared_with=best.compared_with,
+        grouping=grouping,
+        unregistered=tuple((entry.name, entry.reason) for entry in diagnosis.left_out),
+        rigs=rigs,
+        world=world,
+        diagnosis=diagnosis,
+        cautions=_cautions(best, reconstruction, world)
+        + (() if gps is None else gps.describe())
+        + diagnosis.cautions(matches),
+        calibration=best.calls.calibration,
+        upheld=best.upheld,
     )
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from graphgs.scene.origin import AT_ZERO, Origin
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.structure.acceptance import Agreement
 from graphgs.structure.calibration.belief import Calibration
@@ -35,6 +36,7 @@ class Structure:
     world: WorldFrame | None = None  # None: the world's scale and axes are arbitrary
     diagnosis: Diagnosis | None = None  # None: nothing was matched
     cautions: tuple[str, ...] = ()  # what the photos leave open, though nothing contradicts the result; for people
+    origin: Origin = AT_ZERO  # of the world, in the frame of given poses
     calibration: Calibration | None = None  # what they said of their lenses; None: they were not asked
     upheld: ScaleAcross | None = None  # where it was accepted against the other reconstruction, by its own points
 
@@ -66,6 +68,7 @@ class Structure:
             "rigs": len(self.rigs),
             "world": plain(self.world),
             "cautions": list(self.cautions),
+            "origin": list(self.origin),
             "upheld": None if self.upheld is None else dataclasses.asdict(self.upheld),
             "calibration": None if self.calibration is None else self.calibration.record(),
         }
@@ -84,6 +87,7 @@ class Structure:
         header["rigs"] = tuple(RigPose.load(folder / f"rig_{k}.npz") for k in range(header["rigs"]))
         header["world"] = from_plain(header["world"])
         header["cautions"] = tuple(header.get("cautions", ()))  # older ones have none
+        header["origin"] = tuple(header.get("origin", AT_ZERO))
         calibration, upheld = header.get("calibration"), header.get("upheld")
         header["upheld"] = None if upheld is None else ScaleAcross(**upheld)
         header["calibration"] = None if calibration is None else Calibration.from_record(calibration)

@@ -140,7 +140,7 @@ def _compared(model: Reconstruction, pairs: np.ndarray, side: np.ndarray, middle
         rays = found.place - eyes
         distance = np.linalg.norm(rays, axis=1)
         shape = np.linalg.pinv(np.where(enough[:, None, None], found.information, np.eye(3)), hermitian=True)
-        along = np.sqrt(np.einsum("ki,kij,kj->k", rays, shape, rays)) / np.maximum(distance, 1e-9) ** 2
+        along = np.sqrt(np.maximum(np.einsum("ki,kij,kj->k", rays, shape, rays), 0.0)) / np.maximum(distance, 1e-9) ** 2
         good &= enough & np.isfinite(found.loss) & (found.loss < _LOSS_PX) & (along < _DEEP)
         clouds.append(found.place - middle)
         shapes.append(shape)

@@ -24,6 +24,7 @@ _LEAST_GAIN = 0.05  # share of the loss of held-out tracks; a lens more hardly c
 _MOST_TURNS = 10
 _LOSS_PX = 2.0
 _ROUNDS = 5
+_ASKING = 3.0  # deviations
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ def two_lenses(
     if len(split.held_out) < _FEWEST_POINTS:
         return None
     one, _ = trials.run("one_lens", model.cameras, ("focal",), tracks=split.adjusted)
-    found = None
+    found, tried = None, set()
     for turn in range(_MOST_TURNS):
         if min(len(long), len(known) - len(long)) < _FEWEST_PHOTOS:
             return None
@@ -66,7 +67,7 @@ def two_lenses(
         before, after = (errors_of(m, model, split.held_out) for m in (one, two))
         finite = np.isfinite(before) & np.isfinite(after)
         found = TwoLenses(long, two, float(1.0 - after[finite].mean() / before[finite].mean()))
-        moved = _nearer(two)
+        moved = _divided(two, tried)
         if set(moved) == set(long):
             break
         long = moved
@@ -107,11 +108,20 @@ def _division(values: np.ndarray) -> float:
     return float(ordered[k - 1] + ordered[k]) / 2
 
 
-def _nearer(two: Reconstruction) -> np.ndarray:
-    """[K] int: the photos that like the new camera's focal length better than the other one."""
-    logs, _ = photo_focals(two)
-    own = np.array([two.camera_of(k).focal_and_center[0] for k in range(len(two.names))])
-    liked = np.log(own) + np.nan_to_num(logs)
-    new = np.log(two.cameras[-1].focal_and_center[0])
-    old = np.log(next(f for f in own if f != two.cameras[-1].focal_and_center[0]))
-    return np.flatnonzero(np.abs(liked - new) < np.abs(liked - old))
+def _divided(two: Reconstruction, tried: set[int]) -> np.ndarray:
+    """[K] int: the photos that belong to the new camera. Those that like its focal length better; and, once, those of
+    the other that ask for something of it beyond their scatter: a photo that was placed nearer to make up for its lens
+    asks for little, and for all once it is placed with its own."""
+    new = len(two.cameras) - 1
+    shared = int(np.setdiff1d(two.camera_ids, [new])[0])
+    logs, deviations = photo_focals(two)
+    towards = np.log(two.cameras[new].focal_and_center[0] / two.cameras[shared].focal_and_center[0])
+    own = np.where(two.camera_ids == new, towards, 0.0) + np.nan_to_num(logs)
+    belongs = np.abs(own - towards) < np.abs(own)
+    others = np.flatnonzero((two.camera_ids == shared) & np.isfinite(logs))
+    scatter = 1.4826 * np.median(np.abs(logs[others] - np.median(logs[others]))) if len(others) else np.inf
+    asked = (logs - np.median(logs[others])) * np.sign(towards)
+    asking = [k for k in others if k not in tried and asked[k] > _ASKING * max(scatter, deviations[k])]
+    belongs[asking] = True
+    tried.update(int(k) for k in asking)
+    return np.flatnonzero(belongs)

@@ -97,7 +97,7 @@ def _inscribed(camera: Camera) -> Camera:
     zeros, ones = np.zeros_like(t), np.ones_like(t)
     left, right = np.stack([zeros, t * height], 1), np.stack([ones * width, t * height], 1)
     top, bottom = np.stack([t * width, zeros], 1), np.stack([t * width, ones * height], 1)
-    rays = {side: _rays(camera, points) for side, points in zip("lrtb", (left, right, top, bottom), strict=True)}
+    rays = {side: image_rays(camera, points) for side, points in zip("lrtb", (left, right, top, bottom), strict=True)}
     half = {
         "l": (-rays["l"][:, 0]).min(),
         "r": rays["r"][:, 0].min(),
@@ -140,7 +140,7 @@ def _fold(camera: Camera) -> float:
     return float(r[turns[0]]) if len(turns) else np.inf
 
 
-def _rays(camera: Camera, points: np.ndarray) -> np.ndarray:
+def image_rays(camera: Camera, points: np.ndarray) -> np.ndarray:
     """[M, 2] undistorted coordinates at unit depth of image points [M, 2] px."""
     undo = cv2.fisheye.undistortPoints if camera.is_fisheye else _undistort_points
     return undo(points[:, None].astype(np.float64), camera.K, camera.distortion)[:, 0]

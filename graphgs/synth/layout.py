@@ -10,6 +10,7 @@ import numpy as np
 
 from graphgs.synth import facades, surfaces
 from graphgs.synth.canvas import random_color
+from graphgs.synth.course import CourseName, heading_of
 from graphgs.synth.drive import Centerline
 from graphgs.synth.solids import StreetBuilder
 
@@ -21,11 +22,13 @@ TILE = 5.0  # [m] of road with a texture of its own
 BEHIND, AHEAD = 8.0, 24.0  # [m] of street before the first and after the last photo
 
 
-def build_street(drive_length: float, *, seed: int, texels_per_m: float) -> StreetBuilder:
+def build_street(
+    drive_length: float, *, seed: int, texels_per_m: float, course: CourseName = "winding"
+) -> StreetBuilder:
     """The street for a drive of `drive_length` metres, closed by a house across its far end."""
     rng = np.random.default_rng([seed, 0])
     start, end = -BEHIND, drive_length + AHEAD
-    line = Centerline(start - 20.0, end + 20.0, phase=street_phase(seed))
+    line = Centerline(start - 20.0, end + 20.0, heading_of(course, drive_length, seed))
     street = StreetBuilder(line)
     paint = partial(_painter, rng, texels_per_m)
 
@@ -40,11 +43,6 @@ def build_street(drive_length: float, *, seed: int, texels_per_m: float) -> Stre
     for side in (-1, 1):
         _furniture(street, rng, paint, side, end)
     return street
-
-
-def street_phase(seed: int) -> float:
-    """Where in its bend the street begins."""
-    return float(np.random.default_rng([seed, 2]).uniform(0, 2 * np.pi))
 
 
 def _painter(rng: np.random.Generator, texels_per_m: float, texture, **options):

@@ -3,7 +3,7 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from PIL import Image
@@ -14,6 +14,7 @@ from graphgs.progress import Reporter
 from graphgs.scene.camera import Camera
 from graphgs.scene.colmap import write_model
 from graphgs.scene.reconstruction import Reconstruction
+from graphgs.synth.course import CourseName
 from graphgs.synth.drive import RIGS, plan_drive
 from graphgs.synth.layout import build_street
 from graphgs.synth.truth import TruthBuilder
@@ -34,7 +35,10 @@ class StreetConfig:
     height: int = 270  # [px]
     fov_deg: float = 65.0  # horizontal field of view, about a phone's main camera
     spacing: float = 0.7  # [m] driven between two frames
+    course: CourseName = "winding"  # of the road; bend turns by 30 degrees over the drive, corner by 90 in 32 m
+    sway: float = 1.0  # how much the vehicle sways, nods and rolls; a car does .1 to .2 of it, 0 is a drive on rails
     exposure_stops: float = 0.0  # each photo is brighter or darker by up to so many stops
+    noise: float = 0.0  # [grey levels] standard deviation of the sensor's noise
     samples: int = 3  # rays per pixel and axis where surfaces meet
     texels_per_m: float = 48.0  # texture resolution; a house front 8 m away has about 47 px per metre at 480 px width
     points: int = 6000  # surface points in the true model
@@ -50,8 +54,11 @@ class StreetConfig:
             raise ValueError(f"fov_deg: expected 10 to 140, got {self.fov_deg}")
         if self.cameras not in RIGS:
             raise ValueError(f"cameras: expected 1 or 3, got {self.cameras}")
-        if self.exposure_stops < 0:
-            raise ValueError(f"exposure_stops: expected 0 or more, got {self.exposure_stops}")
+        if self.course not in get_args(CourseName):
+            raise ValueError(f"course: expected one of {', '.join(get_args(CourseName))}, got {self.course}")
+        for name in ("sway", "exposure_stops", "noise"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name}: expected 0 or more, got {getattr(self, name)}")
 
     @property
     def camera(self) -> Camera:
@@ -88,10 +95,15 @@ def write_street(
     """
     reporter = reporter or Reporter()
     folder = Path(folder)
-    street = build_street(config.spacing * (config.frames - 1), seed=config.seed, texels_per_m=config.texels_per_m)
+    street = build_street(
+        config.spacing * (config.frames - 1),
+        seed=config.seed,
+        texels_per_m=config.texels_per_m,
+        course=config.course,
+    )
     scene = street.build(device=device)
     camera = config.camera
-    shots = plan_drive(street.line, config.frames, config.cameras, config.spacing, config.seed)
+    shots = plan_drive(street.line, config.frames, config.cameras, config.spacing, config.seed, sway=config.sway)
     stops = config.exposure_stops * np.random.default_rng([config.seed, 4]).uniform(-1, 1, len(shots))
 
     truth = TruthBuilder(camera, points_per_shot=-(-config.points // len(shots)), seed=config.seed)
@@ -108,7 +120,8 @@ def write_street(
                 sky_seed=config.seed,
                 threads=threads,
             )
-            _write_photo(folder / "images" / f"{shot.name}.jpg", image, camera if config.exif else None)
+            photo = with_noise(image, config.noise, np.random.default_rng([config.seed, 5, done]))
+            write_photo(folder / "images" / f"{shot.name}.jpg", photo, camera if config.exif else None)
             if config.depth:
                 target = folder / "truth" / "depth" / f"{shot.name}.npz"
                 target.parent.mkdir(parents=True, exist_ok=True)
@@ -128,7 +141,19 @@ def write_street(
     return Street(folder / "images", folder / "truth", reconstruction)
 
 
-def _write_photo(path: Path, image: np.ndarray, camera: Camera | None) -> None:
+def with_noise(
+    image: np.ndarray,  # [H, W, 3] uint8
+    deviation: float,  # [grey levels]
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """[H, W, 3] uint8 with the noise of a sensor, the same in all channels: in grey it is as strong as asked for."""
+    if deviation == 0:
+        return image
+    noise = rng.normal(0.0, deviation, image.shape[:2])[..., None]
+    return np.clip(np.round(image + noise), 0, 255).astype(np.uint8)
+
+
+def write_photo(path: Path, image: np.ndarray, camera: Camera | None) -> None:
     """JPEG without chroma subsampling; with a camera, its focal length goes into the EXIF data as a phone writes it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     exif = Image.Exif()

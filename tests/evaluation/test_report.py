@@ -362,7 +362,7 @@ def test_photos_and_pairs_that_do_not_fit_are_red(tmp_path):
         "4 not placed: lost0.jpg",
         "contradicts the poses",
         "take photos from a.jpg to b.jpg",
-        "the main group",
+        "the one that is kept",
     ):
         assert words in page.text
 

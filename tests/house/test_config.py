@@ -106,7 +106,7 @@ def test_every_setting_is_in_a_key_or_declared_without_influence():
         assert name in pipeline.WITHOUT_INFLUENCE or any(fnmatch.fnmatchcase(name, p) for p in patterns), name
     for pattern in [*patterns, *pipeline.WITHOUT_INFLUENCE]:
         assert fnmatch.filter(flat, pattern), f"{pattern} names no setting"
-    assert set(pipeline.READS) == set(pipeline.STAGES)
+    assert set(pipeline.READS) == {*pipeline.STAGES, pipeline.GIVEN}
 
 
 def test_stages_have_their_own_places():

@@ -179,9 +179,9 @@ def test_waymo(tmp_path, flat, opencv):
     assert len(given.names) == 6
     front = given.names.index("images/000000_0.png" if flat else "FRONT/000000.png")
     left = given.names.index("images/000000_1.png" if flat else "FRONT_LEFT/000000.png")
-    np.testing.assert_allclose(given.centers[front], [101.5, 50, 2], atol=1e-9)
+    np.testing.assert_allclose(given.centers[front] + photos.origin, [101.5, 50, 2], atol=1e-9)
     # 10 m ahead of FRONT, 1 m to the right (-y) and 1 m down
-    seen = np.array([101.5 + 10, 50 - 1, 2 - 1])
+    seen = np.array([101.5 + 10, 50 - 1, 2 - 1]) - photos.origin
     np.testing.assert_allclose(projected(given, front, seen), [24 + 5, 20 + 5.2], atol=1e-9)
     np.testing.assert_allclose(given.rotations[left, 2], [np.sqrt(0.5), np.sqrt(0.5), 0], atol=1e-9)
     assert given.camera_of(front).model == "OPENCV"

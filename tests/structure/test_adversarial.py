@@ -156,7 +156,7 @@ def test_no_repetition_folds_a_scene(tmp_path, shots, focal_px, shuffled):
     taken = shots()
     if shuffled:
         order = np.random.default_rng(0).permutation(len(taken.images))
-        taken = Shots(tuple(taken.images[k] for k in order), taken.centers[order])
+        taken = taken.of(order)
     assert_right_or_refused(judge(as_photos(tmp_path, taken.images, focal_px=focal_px), tmp_path), taken)
 
 

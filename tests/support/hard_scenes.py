@@ -37,9 +37,19 @@ class Shots:
 
     images: tuple[np.ndarray, ...]  # [HEIGHT, WIDTH, 3] uint8
     centers: np.ndarray  # [N, 3]
+    rotations: np.ndarray  # [N, 3, 3] camera-from-world
 
     def __add__(self, other: "Shots") -> "Shots":
-        return Shots(self.images + other.images, np.concatenate([self.centers, other.centers]))
+        poses = [np.concatenate(parts) for parts in zip(self._poses, other._poses, strict=True)]
+        return Shots(self.images + other.images, *poses)
+
+    def of(self, chosen: np.ndarray) -> "Shots":
+        """Some of them, in that order."""
+        return Shots(tuple(self.images[k] for k in chosen), *(part[chosen] for part in self._poses))
+
+    @property
+    def _poses(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.centers, self.rotations
 
 
 def as_photos(folder: Path, images: Iterable[np.ndarray], *, focal_px: float | None = None) -> Photos:
@@ -55,11 +65,12 @@ def as_photos(folder: Path, images: Iterable[np.ndarray], *, focal_px: float | N
 
 def shoot(walls: list[Wall], poses: Iterable[tuple[np.ndarray, np.ndarray]]) -> Shots:
     """Photos from (centre, what to look at)."""
-    images, centers = [], []
+    images, centers, rotations = [], [], []
     for center, target in poses:
-        images.append(render(walls, looking_at(center, target), center))
+        rotations.append(looking_at(center, target))
         centers.append(center)
-    return Shots(tuple(images), np.array(centers))
+        images.append(render(walls, rotations[-1], center))
+    return Shots(tuple(images), np.array(centers), np.array(rotations))
 
 
 def render(walls: list[Wall], rotation: np.ndarray, center: np.ndarray) -> np.ndarray:
@@ -147,7 +158,7 @@ def corner(folder: Path, *, count: int = 8, seed: int = 0) -> Shots:
     """The corner of a room, an easy scene."""
     scene = corner_scene(folder, count=count, seed=seed)
     images = tuple(cv2.imread(str(folder / photo.pixels)) for photo in scene.photos.photos)
-    return Shots(images, scene.centers)
+    return Shots(images, scene.centers, scene.rotations)
 
 
 def unrelated(count: int, *, seed: int = 5) -> tuple[np.ndarray, ...]:

@@ -115,7 +115,20 @@ def test_exposure_changes_brightness_as_recorded(street, tmp_path):
         assert np.median(exposed[unclipped] / plain[unclipped]) == pytest.approx(2 ** (stop / 2.2), rel=0.02)
 
 
-@pytest.mark.parametrize("wrong", [{"frames": 0}, {"cameras": 2}, {"fov_deg": 180.0}, {"exposure_stops": -1.0}])
+def test_noise_is_as_strong_in_grey_as_asked_for(street, tmp_path):
+    noisy = write_street(replace(SMALL, noise=6.0, depth=False), tmp_path)
+    plain, found = _read(street, "000001.jpg").mean(-1), _read(noisy, "000001.jpg").mean(-1)
+    unclipped = (plain > 30) & (plain < 225)
+    assert np.std((found - plain)[unclipped]) == pytest.approx(6.0, rel=0.15)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"frames": 0}, {"cameras": 2}, {"fov_deg": 180.0}, {"exposure_stops": -1.0}, {"course": "circle"},
+        {"sway": -0.1}, {"noise": -1.0},
+    ],
+)  # fmt: skip
 def test_wrong_settings_are_named(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         StreetConfig(**wrong)

@@ -196,8 +196,10 @@ def _concluded(state: _State, steps, estimates, starts: tuple[LensStart, ...]) -
         each = _TRUE_ERROR * deviations(estimate.model, estimate.known, candidate, estimate.wanted)
         if candidate == ("focal",):
             for k, (start, camera) in enumerate(zip(starts, cameras, strict=True)):
-                found = estimate.model.cameras[k] if _sensible(estimate.model) else start.camera
-                value, each[k] = _weighed(start, found.focal_and_center[0], float(each[k]))
+                found, away = estimate.model.cameras[k], float(each[k])
+                if not _sensible(estimate.model) or step.gain < -step.gain_deviation:
+                    found, away = start.camera, _TOLD["typical"]  # what the photos say does not even suit themselves
+                value, each[k] = _weighed(start, found.focal_and_center[0], away)
                 cameras[k] = dataclasses.replace(camera, params=(value, *camera.params[1:]))
             values = tuple(sorted({camera.focal_and_center[0] for camera in cameras}))
         else:
