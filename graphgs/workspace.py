@@ -130,10 +130,13 @@ class Workspace:
 
 
 def find_stage(output: Path, stage: Stage) -> Found | None:
-    """As Workspace.find, in a folder that is only read, while a run is at work in it or not."""
+    """As Workspace.find, in a folder that is only read, while a run is at work in it or not. An artefact of another
+    version of the stage has another form, and is as good as none."""
     folder = output / "cache" / stage.folder
     record = _read_record(folder)
-    return None if record is None else Found(folder, record["key"], tuple(record["inputs"]), record["seconds"])
+    if record is None or record.get("version", stage.version) != stage.version:
+        return None
+    return Found(folder, record["key"], tuple(record["inputs"]), record["seconds"])
 
 
 def make_writable(folder: Path) -> None:

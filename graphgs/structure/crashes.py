@@ -57,7 +57,7 @@ def match_around_crashes(
     def culprits(suspects: list[Pair]) -> list[tuple[Pair, WorkerDied]]:
         """Those of a chunk that end the worker: it is halved until they are alone."""
         try:
-            match(suspects, threads=1, chunk_pairs=len(suspects), tries=1)
+            match(suspects, threads=1, chunk_pairs=len(suspects), tries=1 if len(suspects) > 1 else 2)
         except WorkerDied as death:
             worker.restart(because=death.message)
             if len(suspects) == 1:

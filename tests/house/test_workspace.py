@@ -110,6 +110,12 @@ def test_a_damaged_record_is_no_artefact(workspace, damage):
     assert run(workspace, FIRST, text="two")[0].artefact == Note("two")
 
 
+def test_an_artefact_of_another_version_is_not_read(workspace):
+    run(workspace, FIRST)
+    assert workspace.find(FIRST) is not None
+    assert workspace.find(dataclasses.replace(FIRST, version=FIRST.version + 1)) is None
+
+
 def test_a_deletion_cut_short_leaves_nothing_that_looks_whole(workspace, monkeypatch):
     run(workspace, FIRST, text="one")
 
