@@ -1,6 +1,7 @@
 """The same work as the command line, from Python."""
 
 import dataclasses
+import shlex
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,10 +9,12 @@ from typing import Any
 
 from graphgs.config import Config, check_numbers, preset, with_file, with_settings
 from graphgs.console import RunReporter
-from graphgs.errors import UsageError
+from graphgs.errors import DataError, PartialError, UsageError
 from graphgs.options import SETTING_OF_OPTION, Options
 from graphgs.outputs import Made, write_outputs
-from graphgs.pipeline import Run, find_poses, make_scene, partial_error, resume_poses
+from graphgs.pipeline import Posed, Run, find_poses, make_scene, resume_poses
+from graphgs.stages import MAPPING
+from graphgs.structure.shortfall import partial_error
 from graphgs.threads import get_num_threads, set_num_threads
 from graphgs.workspace import Workspace
 
@@ -22,7 +25,7 @@ class RunResult:
 
     output: Path
     metrics: dict[str, Any]  # as in metrics.json
-    status: str  # complete, posed (stopped after the poses) or partial
+    status: str  # complete, posed (stopped after the poses), or partial: the photos are not all there
 
     @property
     def splat_path(self) -> Path:
@@ -89,10 +92,10 @@ def pose(
     config = settings(chosen, settings_extra)
     with _opened(Path(source), Path(output), config, chosen, reporter) as job:
         posed = find_poses(job)
-        accepted = posed.structure.accepted
-        metrics = write_outputs(job, posed, None, command=command, status="posed" if accepted else "partial")
-        if not accepted and not config.run.allow_partial:
-            raise partial_error(posed, config.structure)
+        error = _partial(job, posed)
+        metrics = write_outputs(job, posed, None, command=command, partial=error)
+        if error is not None and not config.run.allow_partial:
+            raise error
         return RunResult(job.workspace.output, metrics, metrics["status"])
 
 
@@ -117,12 +120,17 @@ def train(
 
 
 def _finish(job: Run, posed, command: str) -> RunResult:
-    if not posed.structure.accepted and not job.config.run.allow_partial:
-        write_outputs(job, posed, None, command=command, status="partial")
-        raise partial_error(posed, job.config.structure)
+    error = _partial(job, posed)
+    if error is not None and not job.config.run.allow_partial:
+        write_outputs(job, posed, None, command=command, partial=error)
+        raise error
     made = Made(*make_scene(job, posed))
-    metrics = write_outputs(job, posed, made, command=command, status="complete")
-    return RunResult(job.workspace.output, metrics, "complete")
+    metrics = write_outputs(job, posed, made, command=command, partial=error)
+    return RunResult(job.workspace.output, metrics, metrics["status"])
+
+
+def _partial(job: Run, posed: Posed) -> PartialError | None:
+    return partial_error(posed.structure, len(posed.photos.photos), job.config.structure)
 
 
 class _opened:
@@ -146,9 +154,12 @@ class _opened:
             set_num_threads(self._options.threads)
         self._reporter.attach_log(self._output / "log.jsonl")
         self._reporter.event("run", settings=dataclasses.asdict(self._config), threads=get_num_threads())
-        return Run(self._config, self._source, self._workspace, self._reporter, get_num_threads(), device)
+        self._run = Run(self._config, self._source, self._workspace, self._reporter, get_num_threads(), device)
+        return self._run
 
     def __exit__(self, kind, error, _) -> None:
+        if isinstance(error, DataError) and MAPPING.name in self._run.keys:  # there is something to ask
+            error.command = shlex.join(["graphgs", "explain", str(self._output)])
         if error is not None:
             self._reporter.event("stopped", reason=kind.__name__, message=str(error))
         set_num_threads(self._threads)

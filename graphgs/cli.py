@@ -18,11 +18,15 @@ from graphgs.console import RunReporter, printable
 from graphgs.errors import DiskError, GraphGSError, OutOfMemoryError
 from graphgs.options import Options
 from graphgs.synth.street import StreetConfig
+from graphgs.versions import version_line
 
 Settings = Annotated[UseAppendAction[tuple[str, ...]], arg(name="set", metavar="STAGE.FIELD=VALUE")]
 Input = Annotated[Positional[Path], arg(metavar="INPUT")]
 Output = Annotated[Positional[Path], arg(metavar="OUTPUT")]
 Scene = Annotated[Positional[Path], arg(metavar="SCENE")]
+
+READER_WENT_AWAY = 128 + 13  # as a shell says of a program that SIGPIPE ended
+_DESCRIPTION = "Photos without poses in, a trained 3D scene out. `graphgs --version` tells what is installed."
 
 app = tyro.extras.SubcommandApp()
 
@@ -126,12 +130,8 @@ def explain(scene: Scene, image: Annotated[Positional[str], arg(metavar="IMAGE")
     if json:
         RunReporter(as_json=True).event(kind, **facts)
         return
-    try:
-        for line in lines:
-            print(printable(line))
-        sys.stdout.flush()
-    except BrokenPipeError:  # `| head` has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    for line in lines:
+        print(printable(line))
 
 
 @app.command(name="eval")
@@ -183,14 +183,37 @@ def synth(
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line and exit with its code: 0 ok, 1 bug, 2 usage, 3 data, 4 memory, 5 disk, 130 interrupted."""
+    """Run the command line and exit with its code: 0 ok, 1 bug, 2 usage, 3 data, 4 memory, 5 disk, 130 interrupted, 141
+    where the reader of what is printed went away."""
     signal.signal(signal.SIGTERM, _terminate)
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed before we began (`>&-`): nobody will read
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115 - as long as the process lives
     sys.exit(_guarded(arguments))
 
 
 def _guarded(arguments: list[str] | None) -> int:
+    """The exit code. Whatever was printing when the reader went away (`| head -1`), it ends here, and quietly."""
     try:
-        app.cli(prog="graphgs", args=arguments, description="Photos without poses in, a trained 3D scene out.")
+        try:
+            return _answered(sys.argv[1:] if arguments is None else arguments)
+        finally:
+            sys.stdout.flush()  # now, for at the interpreter's end nobody could answer a closed pipe
+    except BrokenPipeError:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        for stream in (sys.stdout, sys.stderr):
+            os.dup2(nowhere, stream.fileno())
+        return READER_WENT_AWAY
+
+
+def _answered(arguments: list[str]) -> int:
+    try:
+        if arguments == ["--version"]:
+            print(version_line())
+        else:
+            app.cli(prog="graphgs", args=arguments, description=_DESCRIPTION)
+    except BrokenPipeError:
+        raise
     except GraphGSError as error:
         return _say(error)
     except KeyboardInterrupt:
@@ -213,6 +236,8 @@ def _say(error: GraphGSError) -> int:
     print(f"error: {printable(error.message)}", file=sys.stderr)
     if error.hint:
         print(f"       {printable(error.hint)}", file=sys.stderr)
+    if error.command:
+        print(f"       {printable(error.command)}", file=sys.stderr)
     return error.exit_code
 
 
@@ -242,7 +267,7 @@ def _finished(result, json: bool) -> None:
     if json:
         return
     metrics = result.metrics
-    print(f"done: {metrics['registered']} of {metrics['images']} photos placed")
+    print(printable(metrics["partial"] or f"done: {metrics['registered']} of {metrics['images']} photos placed"))
     for caution in metrics["cautions"]:
         print(printable(f"      caution: {caution}"))
     if metrics["psnr"] is not None:

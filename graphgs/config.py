@@ -32,7 +32,7 @@ class RunConfig:
     """Coarse poses that choose the pairs: auto (from the photos), learned (the same by XFeat), sequence (file order),
     gps (EXIF), gps=FILE (CSV or GeoJSON), poses=FILE. GPS also makes the result metric, with z up and y north."""
     allow_partial: bool = False
-    """Train also when only part of the photos could be placed."""
+    """Go on, with exit code 0, also when the result is PARTIAL: only part of the photos could be placed."""
 
 
 @dataclass(frozen=True)
@@ -84,6 +84,7 @@ _AT_MOST = {
     "training.ssim_weight": 1,
     "training.initial_opacity": 1,
     "structure.min_registered": 1,
+    "structure.max_apart_share": 1,
     "structure.fine_first_octave": 4,
 }
 

@@ -15,13 +15,19 @@ from graphgs.progress import Reporter
 PLAIN_INTERVAL_S = 10.0  # between two progress lines where there is no terminal
 
 
+class _Console(Console):
+    def on_broken_pipe(self) -> None:
+        """Rich would exit with code 1, which says bug here: let the command line answer it."""
+        raise  # the BrokenPipeError that is being handled
+
+
 class RunReporter(Reporter):
     """Writes events to log.jsonl; shows progress: a bar on a terminal, plain lines elsewhere, JSON on demand."""
 
     def __init__(self, *, as_json: bool = False, quiet: bool = False, stream: TextIO | None = None):
         self.warnings: list[str] = []
         self._as_json, self._quiet = as_json, quiet
-        self._console = Console(file=stream or sys.stdout, highlight=False, soft_wrap=True)
+        self._console = _Console(file=stream or sys.stdout, highlight=False, soft_wrap=True)
         self._log: TextIO | None = None
         self._bar: Progress | None = None
         self._task = None

@@ -1,11 +1,12 @@
 """Errors for people: what went wrong, where, what to do next, and the exit code that goes with it.
 
-Exit codes: 0 ok, 1 bug, 2 usage, 3 the data cannot work, 4 memory, 5 disk, 130 interrupted.
+Exit codes: 0 ok, 1 bug, 2 usage, 3 the data cannot work, 4 memory, 5 disk, 130 interrupted, 141 the
+reader of the output went away.
 """
 
 
 class GraphGSError(Exception):
-    """Base of every error a user can meet. `hint` says what to do next."""
+    """Base of every error a user can meet. `hint` says what to do next, `command` what tells more."""
 
     exit_code = 1
 
@@ -13,6 +14,7 @@ class GraphGSError(Exception):
         super().__init__(message)
         self.message = message
         self.hint = hint
+        self.command = ""
 
 
 class UsageError(GraphGSError):

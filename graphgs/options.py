@@ -38,7 +38,7 @@ class Options:
     pairs_extra: Path | None = None
     """A file of pairs to match besides, one "a.jpg b.jpg" a line."""
     allow_partial: bool = False
-    """Train also when only part of the photos could be placed."""
+    """Go on, with exit code 0, also when the result is PARTIAL: only part of the photos could be placed."""
     config: Path | None = None
     """A TOML file with settings, for example the run.toml of another run."""
 

@@ -7,13 +7,13 @@ import shutil
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from graphgs.config import to_toml
+from graphgs.errors import PartialError
 from graphgs.evaluation.evaluate import Evaluation
 from graphgs.evaluation.report import (
     CameraFigures,
@@ -32,7 +32,7 @@ from graphgs.evaluation.report import (
 from graphgs.export.colmap import write_colmap
 from graphgs.export.ply import write_ply
 from graphgs.memory import peak_rss_bytes
-from graphgs.pipeline import Posed, Run, Trained, partial_error
+from graphgs.pipeline import Posed, Run, Trained
 from graphgs.scene.origin import AT_ZERO, describe
 from graphgs.stages import EVALUATION
 from graphgs.structure.given_verdict import FITS, LARGEST_MEDIAN, HeldPoses
@@ -41,9 +41,8 @@ from graphgs.structure.result import Structure
 from graphgs.structure.rotation_only import LARGEST_TURNING_SHARE
 from graphgs.structure.soundness import LARGEST_SHARE, LARGEST_STRENGTH
 from graphgs.structure.world import plain
+from graphgs.versions import installed_versions
 from graphgs.workspace import write_json, write_text
-
-PACKAGES = ("graphgs", "torch", "warp-lang", "taichi", "pycolmap", "numpy", "scipy", "opencv-python-headless")
 
 
 @dataclass(frozen=True)
@@ -54,9 +53,10 @@ class Made:
     evaluation: Evaluation
 
 
-def write_outputs(run: Run, posed: Posed, made: Made | None, *, command: str, status: str) -> dict[str, Any]:
-    """Write every output; returns what metrics.json holds. `status`: complete, partial (poses not accepted), or posed
-    (stopped after the poses on request)."""
+def write_outputs(
+    run: Run, posed: Posed, made: Made | None, *, command: str, partial: PartialError | None
+) -> dict[str, Any]:
+    """Write every output; returns what metrics.json holds. `partial`: why the photos are not all there."""
     output, started = run.workspace.output, time.perf_counter()
     run.reporter.info(f"writing {output}")
     if made is not None and made.trained.viewmats is not None:
@@ -72,17 +72,21 @@ def write_outputs(run: Run, posed: Posed, made: Made | None, *, command: str, st
         write_ply(made.trained.splats, output / "splat.ply", origin=posed.structure.origin)
         publish_pictures(run.workspace.cache / EVALUATION.folder, output / "eval")
     run.seconds["outputs"] = round(time.perf_counter() - started, 3)
-    metrics = collect_metrics(run, posed, made, versions, status)
+    metrics = collect_metrics(run, posed, made, versions, partial)
     write_json(output / "metrics.json", metrics)
-    write_report(output / "report.html", report_data(run, posed, made, metrics, command=command, status=status))
+    write_report(output / "report.html", report_data(run, posed, made, metrics, command=command, partial=partial))
     return metrics
 
 
-def collect_metrics(run: Run, posed: Posed, made: Made | None, versions: dict[str, str], status: str) -> dict[str, Any]:
+def collect_metrics(
+    run: Run, posed: Posed, made: Made | None, versions: dict[str, str], partial: PartialError | None
+) -> dict[str, Any]:
+    """`status`: partial (not all photos are there), posed (stopped after the poses on request), or complete."""
     n = len(posed.photos.photos)
     evaluation = None if made is None else made.evaluation
     return {
-        "status": status,
+        "status": "partial" if partial is not None else "posed" if made is None else "complete",
+        "partial": None if partial is None else partial.message,
         "psnr": None if evaluation is None else evaluation.psnr,
         "ssim": None if evaluation is None else evaluation.ssim,
         "lpips": None,
@@ -99,6 +103,8 @@ def collect_metrics(run: Run, posed: Posed, made: Made | None, versions: dict[st
         "given_poses": None if posed.held is None else posed.held.record(),
         "cautions": list(posed.structure.cautions),
         "lenses": _lenses(posed.structure),
+        "groups": [{"name": group.name, "photos": list(group.photos)} for group in posed.structure.grouping.groups],
+        "left_out": dict(posed.structure.unregistered),
         "skipped": {s.name: s.reason for s in posed.photos.skipped},
         "pairs_candidate": _pairs_tried(posed),
         "pairs_exhaustive": n * (n - 1) // 2,
@@ -112,10 +118,9 @@ def collect_metrics(run: Run, posed: Posed, made: Made | None, versions: dict[st
 
 
 def report_data(
-    run: Run, posed: Posed, made: Made | None, metrics: dict[str, Any], *, command: str, status: str
+    run: Run, posed: Posed, made: Made | None, metrics: dict[str, Any], *, command: str, partial: PartialError | None
 ) -> ReportData:
     """The plain data the report is made from."""
-    partial = partial_error(posed, run.config.structure) if status == "partial" else None
     return ReportData(
         title=run.workspace.output.resolve().name,
         status="complete" if partial is None else "partial",
@@ -157,16 +162,6 @@ def device_name(device: str) -> str:
 
         return f"{device} ({torch.cuda.get_device_name(device)})"
     return f"cpu ({platform.processor() or platform.machine()}, {os.cpu_count()} cores)"
-
-
-def installed_versions() -> dict[str, str]:
-    found = {"python": platform.python_version()}
-    for name in PACKAGES:
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "not installed as a package"
-    return found
 
 
 def _write_settings(run: Run, versions: dict[str, str]) -> None:
@@ -226,22 +221,19 @@ def _connections(structure: Structure) -> dict[str, Any]:
     facts = {"compass": world is not None and world.compass, "unit": "" if world is None else "m"}
     if diagnosis is None:
         return facts
-    groups = [PhotoGroup(g.name, len(g.photos), g.bridge.advice() if g.bridge else "") for g in diagnosis.groups]
+    groups = structure.grouping.groups
+    shown = [PhotoGroup(g.name, len(g.photos), g.bridge.advice() if g.bridge else "") for g in groups]
     return facts | {
         "beside": diagnosis.beside([name for name, _ in structure.unregistered], structure.reconstruction.names),
         "objections": diagnosis.objections,
-        "groups": tuple(groups) if len(groups) > 1 else (),
+        "groups": tuple(shown) if len(groups) > 1 else (),
     }
 
 
 def _structure_figures(run: Run, posed: Posed) -> StructureFigures:
     structure = posed.structure
     model, limits, agreed = structure.reconstruction, run.config.structure, structure.agreement
-    placed = len(model.names) / max(structure.component, 1)
-    checks = [
-        Check("photos placed", f"{100 * placed:.0f} %", f"at least {100 * limits.min_registered:.0f} %",
-              placed >= limits.min_registered)
-    ]  # fmt: skip
+    checks = [_placed_check(structure, len(posed.photos.photos), limits.min_registered)]
     if agreed is not None:
         for name, value, limit in (
             ("pairwise rotation change, median", agreed.rotation_median_deg, limits.max_rotation_median_deg),
@@ -278,6 +270,17 @@ def _lenses(structure: Structure) -> dict[str, Any]:
         return found
     record = structure.calibration.record()
     return found | {"determined": list(record["refine"]), "held": record["held"], "steps": record["steps"]}
+
+
+def _placed_check(structure: Structure, usable: int, least: float) -> Check:
+    """Measured against all usable photos; the limits are those of the group that is kept, and of the rest."""
+    grouping, placed = structure.grouping, len(structure.reconstruction.names)
+    kept = len(grouping.kept.photos)
+    limit = f"{100 * least:.0f} % of the {kept} that hang together"
+    if not grouping.joined:
+        limit += f", and at most {grouping.tolerated} missing of other groups"
+    passed = placed >= least * kept and grouping.is_whole
+    return Check("photos placed", f"{placed} of {usable} ({100 * placed / max(usable, 1):.0f} %)", limit, passed)
 
 
 def _soundness_checks(structure: Structure) -> list[tuple[str, str, str, bool]]:

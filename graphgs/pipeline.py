@@ -16,7 +16,7 @@ import numpy as np
 
 from graphgs.config import Config
 from graphgs.console import RunReporter
-from graphgs.errors import PartialError, UsageError
+from graphgs.errors import UsageError
 from graphgs.evaluation.evaluate import Evaluation, evaluate
 from graphgs.forecast import forecast
 from graphgs.graph import CameraGraph
@@ -41,7 +41,6 @@ from graphgs.stages import (
     VIEWS,
 )
 from graphgs.structure.candidates import candidate_pairs
-from graphgs.structure.config import StructureConfig
 from graphgs.structure.extra_pairs import read_extra_pairs
 from graphgs.structure.feature_cache import FeatureCache
 from graphgs.structure.given import keep_given, map_given, needs_matching
@@ -74,7 +73,8 @@ READS: dict[Stage, tuple[str, ...]] = {
     MAPPING: (
         "run.seed", "structure.poses", "structure.mapper", "structure.min_inliers", "structure.max_error_px",
         "structure.min_angle_deg",
-        "structure.min_registered", "structure.max_rotation_*", "structure.max_camera_shift", "structure.rig_*",
+        "structure.min_registered", "structure.max_apart_share", "structure.max_rotation_*",
+        "structure.max_camera_shift", "structure.rig_*",
     ),
     VIEWS: ("structure.max_side",),
     GRAPH: (),
@@ -274,8 +274,6 @@ def resume_poses(run: Run) -> Posed:
 def make_scene(run: Run, posed: Posed) -> tuple[Trained, Evaluation]:
     """From posed views to a trained scene and its figures on held-out views."""
     config, reporter, threads = run.config, run.reporter, run.threads
-    if not posed.structure.accepted and not config.run.allow_partial:
-        raise partial_error(posed, config.structure)
     model = posed.structure.reconstruction
     dense = run.stage(
         DENSE,
@@ -312,24 +310,6 @@ def make_scene(run: Run, posed: Posed) -> tuple[Trained, Evaluation]:
         Evaluation.load,
     )
     return trained, evaluation
-
-
-def partial_error(posed: Posed, limits: StructureConfig) -> PartialError:
-    """Why a structure that was not accepted is not trained on, and whether the poses it has can be trusted."""
-    structure = posed.structure
-    reasons = [f"{len(structure.reconstruction.names)} of {len(posed.photos.photos)} photos could be placed"]
-    if structure.component < len(posed.photos.photos):
-        reasons.append(f"the largest group with common features holds {structure.component}")
-    agreed = structure.agreement is not None and structure.agreement.within(limits)
-    if not agreed:
-        reasons.append(f"the poses do not agree with {structure.compared_with or 'a second reconstruction'}")
-    reasons += structure.doubts
-    trusted = agreed and not structure.doubts
-    hint = "the report names the photos and reasons; add photos in between, "
-    if structure.doubts:
-        hint = "the report shows in red what does not fit; add photos that tell the places apart, "
-    hint += "or train on these" if trusted else "or train on these doubtful poses"
-    return PartialError(f"partial: {'; '.join(reasons)}", hint=f"{hint} with --allow-partial")
 
 
 def _photos(run: Run) -> Photos:

@@ -5,10 +5,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+from graphgs.config import Config, with_file
 from graphgs.errors import UsageError
 from graphgs.graph import CameraGraph
 from graphgs.sources.photos import Photos
 from graphgs.stages import EVALUATION, GRAPH, MAPPING, MATCHES, PAIRS, PHOTOS, STAGES, VIEWS
+from graphgs.structure.config import StructureConfig
 from graphgs.structure.diagnosis import Diagnosis
 from graphgs.structure.pairing import Pairs
 from graphgs.structure.result import Structure
@@ -24,6 +26,7 @@ class Artefacts:
     graph: CameraGraph | None
     pairs: Pairs | None
     scores: dict[str, float] | None  # [dB] PSNR per measured held-out view
+    limits: StructureConfig  # in force when the poses were found
 
     @property
     def diagnosis(self) -> Diagnosis | None:
@@ -67,7 +70,14 @@ def read_artefacts(scene: Path) -> Artefacts:
         graph=None if graph is None else CameraGraph.load(graph.folder),
         pairs=Pairs.load(pairs.folder) if paired else None,
         scores=None if evaluation is None else _scores(evaluation.folder),
+        limits=_settings(scene).structure,
     )
+
+
+def _settings(scene: Path) -> Config:
+    """Those of the run; the defaults where it did not come to write them down."""
+    written = scene / "run.toml"
+    return with_file(Config(), written) if written.is_file() else Config()
 
 
 def _scores(folder: Path) -> dict[str, float]:

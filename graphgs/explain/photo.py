@@ -108,7 +108,7 @@ def _pose(found: Artefacts, name: str) -> dict[str, Any]:
 
 def _group(found: Artefacts, name: str) -> str | None:
     """Where the photos fall into several."""
-    groups = found.diagnosis.groups
+    groups = found.structure.grouping.groups
     return next((group.name for group in groups if name in group.photos), None) if len(groups) > 1 else None
 
 

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from graphgs.explain.artefacts import Artefacts
+from graphgs.structure.shortfall import partial_error
 
 _SHOWN = 8  # weakest cameras
 
@@ -14,6 +15,7 @@ def scene_facts(found: Artefacts) -> dict[str, Any]:
     """Groups, photos left out, how sure the poses are, the weakest cameras. Plain values, for people and programs."""
     structure, diagnosis = found.structure, found.diagnosis
     agreed = structure.agreement
+    partial = partial_error(structure, len(found.photos.names), found.limits)
     return {
         "photos": len(found.photos.names),
         "placed": len(structure.reconstruction.names),
@@ -25,7 +27,8 @@ def scene_facts(found: Artefacts) -> dict[str, Any]:
         "lenses": None if structure.calibration is None else structure.calibration.describe(),
         "agreement": None if agreed is None else dataclasses.asdict(agreed) | {"with": structure.compared_with},
         "contradicted_share": None if diagnosis is None else diagnosis.soundness.contradicted_share,
-        "groups": [] if diagnosis is None else [_group(group) for group in diagnosis.groups],
+        "partial": None if partial is None else partial.message,
+        "groups": [_group(group) for group in structure.grouping.groups],
         "left_out": _left_out(found),
         "skipped": [dataclasses.asdict(skipped) for skipped in found.photos.skipped],
         "weakest": weakest_cameras(found),

@@ -8,9 +8,8 @@ _LISTED = 20  # photos or pairs spelled out
 
 def scene_lines(facts: dict[str, Any]) -> Iterator[str]:
     verdict = "accepted" if facts["accepted"] else "not accepted"
-    yield f"{facts['placed']} of {facts['photos']} photos placed; {verdict} ({facts['method']})"
-    for doubt in facts["doubts"]:
-        yield f"  doubt: {doubt}"
+    yield facts["partial"] or f"{facts['placed']} of {facts['photos']} photos placed"
+    yield f"poses {verdict} ({facts['method']})"
     for caution in facts["cautions"]:
         yield f"  caution: {caution}"
     if any(facts["origin"]):
@@ -76,7 +75,7 @@ def _groups(groups: list[dict[str, Any]]) -> Iterator[str]:
         return
     yield f"{len(groups)} groups of photos without common features:"
     for k, group in enumerate(groups):
-        yield f"  {group['name']}: {len(group['photos'])} photos{', the main one' if k == 0 else ''}"
+        yield f"  {group['name']}: {len(group['photos'])} photos{', the one that is kept' if k == 0 else ''}"
         if group["bridge"] is not None:
             yield f"    to join it: {group['bridge']['advice']}"
 

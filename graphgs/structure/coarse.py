@@ -20,6 +20,7 @@ from graphgs.structure.colmap import ColmapWorker
 from graphgs.structure.config import StructureConfig
 from graphgs.structure.feature_cache import FeatureCache
 from graphgs.structure.learned import check_installed, is_installed
+from graphgs.structure.nothing_matches import fault_of_photos
 from graphgs.structure.prior import Prior, poses_by_name
 
 _ANOTHER_SEED = 1000  # offset
@@ -62,7 +63,7 @@ def coarse_poses(
                 break
         reporter.event("worker", stage="coarse", peak_rss_mb=round(worker.peak_rss_mb))
     if best.placed < 3:
-        raise _hopeless(photos, best.edges)
+        raise fault_of_photos(photos, best.features, threads=threads) or _hopeless(photos, best.edges)
     reporter.info(f"coarse poses: {best.note}")
     cameras = with_lenses(best.cameras, photos, best.reconstruction, best.reconstruction.cameras)
     cameras = dataclasses.replace(cameras, cameras=tuple(opened(c, best.refine) for c in cameras.cameras))

@@ -17,6 +17,7 @@ from graphgs.structure.coarse_mapping import ABOUT_AS_MANY, CoarseMapper, Mapped
 from graphgs.structure.colmap import ColmapWorker
 from graphgs.structure.config import StructureConfig
 from graphgs.structure.contradictions import support_of
+from graphgs.structure.crashes import match_around_crashes
 from graphgs.structure.database import create_database
 from graphgs.structure.evidence import VerifiedMatches, read_verified
 from graphgs.structure.feature_cache import FeatureCache
@@ -50,6 +51,7 @@ class Found:
     cameras: SharedCameras
     refine: tuple[str, ...]  # parameters of the lenses that the photos determine
     similar: np.ndarray  # [N, k] look-alikes
+    features: np.ndarray  # [N] per photo
     edges: np.ndarray  # [E, 2] verified
     note: str
 
@@ -85,9 +87,8 @@ def run_attempt(
             progress=lambda done, total: reporter.progress(done, total, "coarse features"),
             cache=cache,
         )
-    similar = similar_photos(
-        *load_descriptors(photos, features), words=config.retrieval_words, neighbors=_RETRIEVAL_DEPTH, seed=0
-    )
+    descriptors, offsets = load_descriptors(photos, features)
+    similar = similar_photos(descriptors, offsets, words=config.retrieval_words, neighbors=_RETRIEVAL_DEPTH, seed=0)
     cameras = shared_cameras(photos)
     create_database(worker, database, photos, cameras, features)
     pairs = coarse_pairs(similar[:, : config.retrieval_neighbors], n, config.sequence_window, photos.rigs)
@@ -96,11 +97,13 @@ def run_attempt(
         learned_matches(photos, features, pairs.tolist(), work / "matches", threads=threads, reporter=reporter)
         worker.run("verify_given", database=database, matches=work / "matches", verification=verification)
     else:
-        worker.run(
-            "match",
+        match_around_crashes(
+            worker,
+            photos.names,
+            pairs.tolist(),
+            work / "crashes.json",
             progress=lambda done, total: reporter.progress(done, total, "coarse matches"),
             database=database,
-            pairs=pairs.tolist(),
             chunk_pairs=8 * config.chunk_pairs,
             matching={},
             verification=verification,
@@ -131,8 +134,8 @@ def run_attempt(
     by = " by learned matches" if attempt.learned else ""
     note = f"own reconstruction at {attempt.max_side} px{by} places {placed} of {n} photos{lenses}"
     if found is None:
-        return Found(None, cameras, refine, similar, edges, note)
-    return Found(found.model, found.cameras, refine, similar, edges, note)
+        return Found(None, cameras, refine, similar, np.diff(offsets), edges, note)
+    return Found(found.model, found.cameras, refine, similar, np.diff(offsets), edges, note)
 
 
 def _less_contradicted(

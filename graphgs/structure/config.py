@@ -52,6 +52,9 @@ class StructureConfig:
     on the same matches, as baselines."""
     min_registered: float = 0.95
     """Share of the chosen group's photos that must be placed for the result to be accepted."""
+    max_apart_share: float = 0.05
+    """Share of the usable photos (two always) that may lie in groups without common features with the one that is kept;
+    beyond, the result is PARTIAL."""
     max_rotation_median_deg: float = 1.0
     """[deg] largest median change of pairwise rotation between first and final reconstruction."""
     max_rotation_p99_deg: float = 5.0

@@ -1,4 +1,4 @@
-"""What can be said about a reconstruction beyond its poses: who was left out and why, which groups there are, which
+"""What can be said about a reconstruction beyond its poses: who was left out and why, which
 cameras are weak, which pairs object. Kept with the structure, so that later questions need no work.
 """
 
@@ -11,18 +11,18 @@ import numpy as np
 
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.sources.photos import Photos
-from graphgs.structure.components import components
 from graphgs.structure.contradictions import PairSupport, PointLookup, project
+from graphgs.structure.edge_width import BLURRED_PX, blur_words
 from graphgs.structure.evidence import TriedPairs, VerifiedMatches, read_tried
-from graphgs.structure.groups import Bridge, Group, named_groups
+from graphgs.structure.grouping import Grouping
 from graphgs.structure.left_out import LeftOut, PhotoEvidence, left_out
 from graphgs.structure.matching import Matches
-from graphgs.structure.prior import Prior
 from graphgs.structure.sharpness import sharpness
 from graphgs.structure.soundness import Soundness, Witness
 
-_ARRAYS = ("sharpness", "contrast", "features", "points", "error_px", "objections")
+_ARRAYS = ("sharpness", "contrast", "edge_px", "features", "points", "error_px", "objections")
 _REFERENCES = 60  # placed photos whose sharpness is measured, to compare those left out with
+_SAMPLE = 12  # of them, where none was left out, to tell whether all are blurred
 
 
 @dataclass(frozen=True)
@@ -32,6 +32,7 @@ class Diagnosis:
     names: tuple[str, ...]  # [N] all photos
     sharpness: np.ndarray  # [N]
     contrast: np.ndarray  # [N]
+    edge_px: np.ndarray  # [N] width of the edges
     features: np.ndarray  # [N]
     points: np.ndarray  # [N] triangulated points seen; 0 without a pose
     error_px: np.ndarray  # [N] mean reprojection error of what it sees
@@ -40,7 +41,6 @@ class Diagnosis:
     objections: np.ndarray  # [K, 2] int, likewise: pairs that contradict it strongly
     soundness: Soundness
     left_out: tuple[LeftOut, ...]
-    groups: tuple[Group, ...]  # the largest first
 
     def beside(self, photos: list[str], placed: tuple[str, ...]) -> np.ndarray:
         """[len(photos)] int into `placed`: the one that each photo shares most verified matches with; -1 for none."""
@@ -54,6 +54,18 @@ class Diagnosis:
                 result[index] = node.get(other, result[index])
         return result
 
+    @property
+    def blur(self) -> str:
+        """What is said of photos that are blurred throughout; empty where they are not."""
+        measured = self.edge_px[np.isfinite(self.edge_px)]
+        typical = float(np.median(measured)) if len(measured) else 0.0
+        return f"the photos are {blur_words(typical)}" if typical >= BLURRED_PX else ""
+
+    def cautions(self, matches: Matches) -> tuple[str, ...]:
+        """What the result suffers from although photos were placed: crashes, and blur throughout."""
+        blur = (f"{self.blur}: poses and scene are less exact than of sharp ones",) if self.blur else ()
+        return tuple(crash.describe() for crash in matches.crashes) + blur
+
     def save(self, folder: Path) -> None:
         """Write diagnosis.json and diagnosis.npz."""
         arrays = {name: getattr(self, name) for name in _ARRAYS}
@@ -64,7 +76,6 @@ class Diagnosis:
             "names": list(self.names),
             "soundness": dataclasses.asdict(self.soundness),
             "left_out": [dataclasses.asdict(entry) for entry in self.left_out],
-            "groups": [dataclasses.asdict(group) for group in self.groups],
         }
         (folder / "diagnosis.json").write_text(json.dumps(header, indent=1))
 
@@ -84,14 +95,13 @@ class Diagnosis:
             support=PairSupport(**support),
             soundness=Soundness(**sound),
             left_out=tuple(LeftOut(**entry) for entry in header["left_out"]),
-            groups=tuple(_group(group) for group in header["groups"]),
         )
 
 
 def diagnose(
     photos: Photos,
     matches: Matches,
-    prior: Prior,
+    grouping: Grouping,
     model: Reconstruction,
     witness: Witness,
     judgement: tuple[Soundness, PairSupport],  # its, of the model
@@ -104,30 +114,27 @@ def diagnose(
     row = {name: k for k, name in enumerate(model.names)}
     image_of = np.array([row.get(name, -1) for name in names], np.int64)
     placed = image_of >= 0
-    sharp, contrast = sharpness(photos, _to_measure(placed), threads=threads)
+    sharp = sharpness(photos, _to_measure(placed), threads=threads)
     tried = read_tried(matches.database)
-    members = components(n, matches.edges)
-    group = np.zeros(n, np.int64)
-    for k, photo in enumerate(members):
-        group[photo] = k
     evidence = PhotoEvidence(
         names=names,
         placed=placed,
-        group=group,
-        sharpness=sharp,
-        contrast=contrast,
+        group=grouping.labels(names),
+        sharp=sharp,
         features=matches.features,
         tried=np.bincount(tried.pairs.ravel(), minlength=n),
         verified=np.bincount(matches.edges.ravel(), minlength=n),
         closest=_closest(tried, n),
         mutual=_mutual(matches.edges, n, ~placed),
         seen=_seen(witness.verified, model, image_of),
+        crashes={name: crash.describe() for crash in matches.crashes for name in crash.photos},
     )
     points, error_px = _per_photo(model)
     return Diagnosis(
         names=names,
-        sharpness=sharp,
-        contrast=contrast,
+        sharpness=sharp.sharpness,
+        contrast=sharp.contrast,
+        edge_px=sharp.edge_px,
         features=matches.features,
         points=np.where(placed, points[image_of], 0),
         error_px=np.where(placed, error_px[image_of], np.nan),
@@ -136,16 +143,14 @@ def diagnose(
         objections=witness.objections(support),
         soundness=soundness,
         left_out=left_out(evidence),
-        groups=named_groups(names, members, tried, prior.similar),
     )
 
 
 def _to_measure(placed: np.ndarray) -> np.ndarray:
     """The photos left out, and placed ones evenly spread."""
     there = np.flatnonzero(placed)
-    if placed.all() or not len(there):
-        return np.flatnonzero(~placed)
-    some = there[np.unique(np.linspace(0, len(there) - 1, min(len(there), _REFERENCES)).round().astype(int))]
+    count = min(len(there), _SAMPLE if placed.all() else _REFERENCES)
+    some = there[np.unique(np.linspace(0, len(there) - 1, count).round().astype(int))]
     return np.concatenate([np.flatnonzero(~placed), some])
 
 
@@ -192,8 +197,3 @@ def _per_photo(model: Reconstruction) -> tuple[np.ndarray, np.ndarray]:
     points = np.bincount(model.track_images, minlength=count)
     total = np.bincount(model.track_images, np.nan_to_num(error), minlength=count)
     return points, total / np.maximum(points, 1)
-
-
-def _group(fields: dict) -> Group:
-    bridge = None if fields["bridge"] is None else Bridge(**fields["bridge"])
-    return Group(fields["name"], tuple(fields["photos"]), bridge)

@@ -15,10 +15,10 @@ from graphgs.structure.acceptance import agreement
 from graphgs.structure.calibration.starts import wide_open
 from graphgs.structure.colmap import ColmapWorker
 from graphgs.structure.colors import colored
-from graphgs.structure.components import components
 from graphgs.structure.config import StructureConfig
 from graphgs.structure.diagnosis import diagnose
 from graphgs.structure.focal_vote import vote_of_pairs
+from graphgs.structure.grouping import Grouping, grouping_of
 from graphgs.structure.matching import Matches
 from graphgs.structure.model_calls import ModelCalls
 from graphgs.structure.prior import Prior
@@ -44,7 +44,7 @@ def keep_given(config: StructureConfig, photos: Photos, cautions: tuple[str, ...
         method="poses and points of the input, kept",
         agreement=None,
         compared_with="",
-        component=len(components(len(given.names), edges)[0]),
+        grouping=Grouping.one(given.names),
         unregistered=_without_pose(photos),
         rigs=rig_poses(photos, given),
         cautions=cautions,
@@ -87,7 +87,8 @@ def map_given(
     reconstruction = colored(model, photos, threads=threads)
     edges, inliers = edges_among(matches, reconstruction.names)
     judgement = calls.witness.judge(reconstruction)
-    diagnosis = diagnose(photos, matches, prior, reconstruction, calls.witness, judgement, threads=threads)
+    grouping = grouping_of(config, matches, prior, reconstruction, joined=True)
+    diagnosis = diagnose(photos, matches, grouping, reconstruction, calls.witness, judgement, threads=threads)
     return Structure(
         reconstruction=reconstruction,
         edges=edges,
@@ -96,13 +97,13 @@ def map_given(
         method=_refined(prior) if refine else "poses of the input, kept; points triangulated",
         agreement=agreed,
         compared_with="the poses of the input" if refine else "",
-        component=len(matches.component),
+        grouping=grouping,
         unregistered=tuple((entry.name, entry.reason) for entry in diagnosis.left_out)
         if refine
         else _without_pose(photos),
         rigs=rig_poses(photos, reconstruction),
         diagnosis=diagnosis,
-        cautions=cautions,
+        cautions=cautions + diagnosis.cautions(matches),
         origin=photos.origin,
     )
 

@@ -1,4 +1,4 @@
-"""The groups that photos fall into, by name, and the two photos that come closest to joining each to the largest."""
+"""The groups that photos fall into, by name, and the two photos that come closest to joining each to the kept one."""
 
 from dataclasses import dataclass
 from pathlib import PurePosixPath
@@ -12,7 +12,7 @@ from graphgs.structure.evidence import TriedPairs
 class Bridge:
     """Two photos, one of each group, between which further photos would help most."""
 
-    here: str  # in the largest group
+    here: str  # in the kept group
     there: str
     matches: int  # features matched between them, which fit no common geometry; 0 = not tried, they look alike
 
@@ -27,20 +27,19 @@ class Group:
 
     name: str
     photos: tuple[str, ...]
-    bridge: Bridge | None = None  # None for the largest, and where nothing at all is alike
+    bridge: Bridge | None = None  # None for the kept one, and where nothing at all is alike
 
 
 def named_groups(
     names: tuple[str, ...],  # [N]
-    members: list[np.ndarray],  # photo indices per group, the largest first
+    members: list[np.ndarray],  # photo indices per group, the kept one first
     tried: TriedPairs,
     similar: np.ndarray,  # [N, k] look-alikes, best first, -1 = none
 ) -> tuple[Group, ...]:
-    """The largest group and every other one of at least two photos."""
-    shown = [group for k, group in enumerate(members) if k == 0 or len(group) > 1]
-    folders = [_folder([names[i] for i in group]) for group in shown]
+    """Each under the name of its folder, where that is its own, or of its first and last photo."""
+    folders = [_folder([names[i] for i in group]) for group in members]
     result = []
-    for k, group in enumerate(shown):
+    for k, group in enumerate(members):
         photos = tuple(names[i] for i in group)
         unique = folders[k] and folders.count(folders[k]) == 1
         name = folders[k] if unique else f"{photos[0]} to {photos[-1]}" if len(photos) > 1 else photos[0]

@@ -1,16 +1,23 @@
 """Why a photo has no pose: one cause each, from what is known of it beside the photos that have one."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
-Cause = Literal["blur", "texture", "no overlap", "tiny group", "another group", "repetition", "triangulation", "pose"]
+from graphgs.structure.edge_width import blur_words
+from graphgs.structure.sharpness import Sharpness
+
+Cause = Literal[
+    "blur", "texture", "crash", "no overlap", "tiny group", "another group", "repetition", "triangulation", "pose"
+]  # fmt: skip
 
 # Limits relative to the photos that were placed: a share of their median, and at least three of their own deviations.
 _BLUR = 0.4  # of the sharpness, while the contrast is that of a photo of something
 _CONTRAST = 0.25
 _TEXTURE = 0.2  # of the features
+# By itself: 15 verified matches make a pair, and of photos that overlap by half one feature in four finds its match.
+FEWEST_FEATURES = 60
 _DEVIATIONS = 3.0
 _GAUSSIAN = 1.4826  # standard deviation of a normal distribution, in medians of its absolute values
 _FEWEST_PARTNERS = 4  # to tell that they do not belong together
@@ -24,15 +31,15 @@ class PhotoEvidence:
 
     names: tuple[str, ...]  # [N]
     placed: np.ndarray  # [N] bool
-    group: np.ndarray  # [N] int, connected group: 0 = the largest
-    sharpness: np.ndarray  # [N] see `graphgs.structure.sharpness`
-    contrast: np.ndarray  # [N]
+    group: np.ndarray  # [N] int, connected group: 0 = the kept one
+    sharp: Sharpness  # [N]
     features: np.ndarray  # [N]
     tried: np.ndarray  # [N] pairs matched
     verified: np.ndarray  # [N] pairs verified
     closest: np.ndarray  # [N] most features matched in a pair that did not verify
     mutual: np.ndarray  # [N] share of the pairs among its verified partners that are verified themselves
     seen: np.ndarray  # [N] verified matches with features that have a triangulated point
+    crashes: dict[str, str] = field(default_factory=dict)  # photo -> what came of matching it
 
 
 @dataclass(frozen=True)
@@ -52,12 +59,19 @@ def left_out(evidence: PhotoEvidence) -> tuple[LeftOut, ...]:
 
 
 def _own_fault(evidence: PhotoEvidence, k: int) -> tuple[Cause, str] | None:
-    sharpness, contrast = _beside(evidence, evidence.sharpness, k), _beside(evidence, evidence.contrast, k)
+    name, sharp = evidence.names[k], evidence.sharp
+    if name in evidence.crashes:
+        return "crash", evidence.crashes[name]
+    sharpness, contrast = _beside(evidence, sharp.sharpness, k), _beside(evidence, sharp.contrast, k)
     if sharpness.below(_BLUR) and contrast.share >= _CONTRAST:
         return "blur", f"blurred: its edges are {100 * sharpness.share:.0f} % as sharp as the other photos'"
+    if sharp.blurred[k]:
+        return "blur", blur_words(sharp.edge_px[k])
     features = _beside(evidence, evidence.features, k)
     if features.below(_TEXTURE):
         return "texture", f"too little texture: {features.own:.0f} features, the others have {features.typical:.0f}"
+    if evidence.features[k] < FEWEST_FEATURES:
+        return "texture", f"too little texture: {evidence.features[k]:.0f} features, {FEWEST_FEATURES} are needed"
     return None
 
 

@@ -17,6 +17,7 @@ from graphgs.structure.colors import colored
 from graphgs.structure.config import StructureConfig
 from graphgs.structure.diagnosis import diagnose
 from graphgs.structure.given import map_given
+from graphgs.structure.grouping import grouping_of
 from graphgs.structure.ladder import Candidate, climb, judged
 from graphgs.structure.lens_by_gps import reopened
 from graphgs.structure.matching import Matches
@@ -69,7 +70,8 @@ def map_fine(
     reconstruction = colored(reconstruction, photos, threads=threads)
     edges, inliers = edges_among(matches, reconstruction.names)
     judgement = (best.soundness, best.support)
-    diagnosis = diagnose(photos, matches, prior, reconstruction, best.calls.witness, judgement, threads=threads)
+    grouping = grouping_of(config, matches, prior, reconstruction)
+    diagnosis = diagnose(photos, matches, grouping, reconstruction, best.calls.witness, judgement, threads=threads)
     return Structure(
         reconstruction=reconstruction,
         edges=edges,
@@ -78,12 +80,16 @@ def map_fine(
         method=best.method,
         agreement=best.agreement,
         compared_with=best.compared_with,
-        component=len(matches.component),
+        grouping=grouping,
         unregistered=tuple((entry.name, entry.reason) for entry in diagnosis.left_out),
         rigs=rigs,
         world=world,
         diagnosis=diagnosis,
-        cautions=_cautions(best, reconstruction, world) + (() if gps is None else gps.describe()),
+        cautions=(
+            *_cautions(best, reconstruction, world),
+            *(() if gps is None else gps.describe()),
+            *diagnosis.cautions(matches),
+        ),
         calibration=best.calls.calibration,
         upheld=best.upheld,
     )

@@ -16,10 +16,12 @@ from graphgs.sources.photos import Photos
 from graphgs.structure.colmap import ColmapWorker
 from graphgs.structure.components import components, describe
 from graphgs.structure.config import StructureConfig
+from graphgs.structure.crashes import Crash, match_around_crashes
 from graphgs.structure.database import create_database, link_or_copy
 from graphgs.structure.feature_cache import FeatureCache
-from graphgs.structure.features import extract_features
+from graphgs.structure.features import crashed_photos, extract_features
 from graphgs.structure.gps import nearest_by_gps
+from graphgs.structure.nothing_matches import fault_of_photos
 from graphgs.structure.pairing import Pairs
 from graphgs.structure.prior import Prior
 
@@ -39,6 +41,7 @@ class Matches:
     features: np.ndarray  # [N] features per photo
     candidates: int  # pairs tried, bridges and witnesses included
     basis: str = ""  # hash of all that the matches of a pair depend on; equal ones may share them
+    crashes: tuple[Crash, ...] = ()  # photos and pairs that could not be matched, as they end COLMAP's process
 
     @property
     def component(self) -> np.ndarray:
@@ -54,6 +57,7 @@ class Matches:
             link_or_copy(self.database, target)
         np.savez(folder / "matches.npz", edges=self.edges, inliers=self.inliers, features=self.features)
         header = {"names": list(self.names), "candidates": self.candidates, "basis": self.basis}
+        header["crashes"] = [[list(crash.photos), crash.by] for crash in self.crashes]
         (folder / "matches.json").write_text(json.dumps(header, indent=1))
 
     @staticmethod
@@ -61,6 +65,7 @@ class Matches:
         header = json.loads((folder / "matches.json").read_text())
         with np.load(folder / "matches.npz", allow_pickle=False) as arrays:
             names = tuple(header.pop("names"))
+            header["crashes"] = tuple(Crash(tuple(photos), by) for photos, by in header.get("crashes", ()))
             return Matches(names, folder / "database.db", **header, **dict(arrays))
 
 
@@ -93,16 +98,18 @@ def match_pairs(
         progress=lambda done, total: reporter.progress(done, total, "features"),
         cache=cache,
     )
+    lost = crashed_photos(photos, scratch / "features")
     basis = _basis(config, photos, prior, scratch / "features", seed)
     with ColmapWorker(scratch) as worker:
         if earlier is not None and not database.exists():
             _carry_over(worker, earlier, basis, tried, database, reporter)
         create_database(worker, database, photos, prior.cameras, scratch / "features")
 
-        def verify(chosen: list[tuple[int, int]], note: str) -> tuple[np.ndarray, np.ndarray]:
+        def verify(chosen: list[tuple[int, int]], note: str) -> tuple[np.ndarray, np.ndarray, tuple[Crash, ...]]:
             return match_and_verify(
                 worker,
                 database,
+                photos.names,
                 chosen,
                 config,
                 progress=lambda done, total: reporter.progress(done, total, note),
@@ -110,18 +117,18 @@ def match_pairs(
                 seed=seed,
             )
 
-        edges, inliers = verify(tried, "matching")
+        edges, inliers, crashes = verify(tried, "matching")
         beside = _in_turn(prior.similar, nearest_by_gps(photos, _GPS_NEIGHBORS))
         for _ in range(_BRIDGE_ROUNDS):
             bridges = bridge_candidates(n, edges, beside, set(tried), per_group=config.bridge_pairs)
             if not bridges:
                 break
             tried += bridges
-            edges, inliers = verify(tried, "bridges")
+            edges, inliers, crashes = verify(tried, "bridges")
         witnesses = witness_pairs(prior.similar, set(tried))
         if witnesses:
             tried += witnesses
-            edges, inliers = verify(tried, "witnesses")
+            edges, inliers, crashes = verify(tried, "witnesses")
         worker.run("settle", database=database)
         reporter.event("worker", stage="matching", peak_rss_mb=round(worker.peak_rss_mb))
     groups = components(n, edges)
@@ -133,32 +140,36 @@ def match_pairs(
         groups=[len(group) for group in groups[:10]],
     )
     if len(groups[0]) < 3:
-        raise _apart(photos.names, groups, len(tried), len(edges))
+        fault = fault_of_photos(photos, features, threads=threads)
+        raise fault or _apart(photos.names, groups, len(tried), len(edges))
     if len(groups) > 1:
         reporter.warn(
-            f"the photos fall into {len(groups)} groups without common features; going on with the largest, "
-            f"leaving out: {describe(photos.names, groups[1:])}"
+            f"the photos fall into {len(groups)} groups without common features, of which one can be kept: "
+            f"{describe(photos.names, groups)}"
         )
-    return Matches(photos.names, database, edges, inliers, features, len(tried), basis)
+    return Matches(photos.names, database, edges, inliers, features, len(tried), basis, lost + crashes)
 
 
 def match_and_verify(
     worker: ColmapWorker,
     database: Path,
+    names: tuple[str, ...],  # [N] all photos
     pairs: list[tuple[int, int]],  # image indices i < j
     config: StructureConfig,
     *,
     progress: Callable[[int, int], None],
     threads: int,
     seed: int,
-) -> tuple[np.ndarray, np.ndarray]:
-    """(edges [E, 2], inliers [E]) of all verified pairs in the database, after these have been matched too. It is
-    worked on in chunks: a kill loses one of them at most."""
-    worker.run(
-        "match",
+) -> tuple[np.ndarray, np.ndarray, tuple[Crash, ...]]:
+    """(edges [E, 2], inliers [E], crashes) of all verified pairs in the database, after these have been matched too. It
+    is worked on in chunks: a kill loses one of them at most. Pairs that end the worker every time are passed over."""
+    crashes = match_around_crashes(
+        worker,
+        names,
+        pairs,
+        database.with_name("crashes.json"),
         progress=progress,
         database=database,
-        pairs=pairs,
         chunk_pairs=config.chunk_pairs,
         matching={},
         verification=_verification(config, seed),
@@ -168,7 +179,7 @@ def match_and_verify(
     found = database.parent / "verified.npz"
     worker.run("verified", database=database, out=found)
     with np.load(found, allow_pickle=False) as arrays:
-        return arrays["edges"], arrays["inliers"]
+        return arrays["edges"], arrays["inliers"], crashes
 
 
 def _verification(config: StructureConfig, seed: int) -> dict:

@@ -32,11 +32,14 @@ def with_more_pairs(calls: ModelCalls, name: str, pairs: list[tuple[int, int]]) 
     scratch = calls.scratch / name
     scratch.mkdir(parents=True, exist_ok=True)
     database = scratch / "database.db"
+    names, crashes = calls.matches.names, calls.matches.crashes
+    pairs = [(i, j) for i, j in pairs if not any(crash.concerns(names[i], names[j]) for crash in crashes)]
     if not database.exists():
         copy_whole(calls.matches.database, database)
-    edges, inliers = match_and_verify(
+    edges, inliers, further = match_and_verify(
         calls.worker,
         database,
+        names,
         pairs,
         calls.config,
         progress=lambda done, total: calls.reporter.progress(done, total, "more pairs"),
@@ -48,5 +51,5 @@ def with_more_pairs(calls: ModelCalls, name: str, pairs: list[tuple[int, int]]) 
     if len(edges) == known:
         return None
     candidates = calls.matches.candidates + len(pairs)
-    matches = Matches(calls.matches.names, database, edges, inliers, calls.matches.features, candidates)
+    matches = Matches(names, database, edges, inliers, calls.matches.features, candidates, crashes=crashes + further)
     return dataclasses.replace(calls, matches=matches, scratch=scratch)

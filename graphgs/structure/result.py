@@ -12,6 +12,7 @@ from graphgs.scene.reconstruction import Reconstruction
 from graphgs.structure.acceptance import Agreement
 from graphgs.structure.calibration.belief import Calibration
 from graphgs.structure.diagnosis import Diagnosis
+from graphgs.structure.grouping import Grouping
 from graphgs.structure.matching import Matches
 from graphgs.structure.rigs import RigPose
 from graphgs.structure.scale_across import ScaleAcross
@@ -29,7 +30,7 @@ class Structure:
     method: str  # the step of the ladder, or what was done with given poses
     agreement: Agreement | None  # with a reconstruction made apart; None where there is none to compare with
     compared_with: str
-    component: int  # photos in the largest connected group
+    grouping: Grouping  # which photos hang together, and which of them this reconstruction keeps
     unregistered: tuple[tuple[str, str], ...]  # (name, reason)
     rigs: tuple[RigPose, ...] = ()  # where the cameras of each rig sit on it
     world: WorldFrame | None = None  # None: the world's scale and axes are arbitrary
@@ -41,12 +42,18 @@ class Structure:
 
     @property
     def status(self) -> str:
-        return "ok" if self.accepted else "partial"
+        """partial: the poses are not accepted, or too many photos lie outside the group that was kept."""
+        return "ok" if self.accepted and self.grouping.is_whole else "partial"
 
     @property
     def doubts(self) -> tuple[str, ...]:
         """What speaks against the reconstruction."""
         return () if self.diagnosis is None else self.diagnosis.soundness.doubts
+
+    @property
+    def blur(self) -> str:
+        """What is said of photos that are blurred throughout; empty where they are not."""
+        return "" if self.diagnosis is None else self.diagnosis.blur
 
     def save(self, folder: Path) -> None:
         self.reconstruction.save(folder)
@@ -56,7 +63,7 @@ class Structure:
             "method": self.method,
             "agreement": None if self.agreement is None else dataclasses.asdict(self.agreement),
             "compared_with": self.compared_with,
-            "component": self.component,
+            "grouping": self.grouping.record(),
             "unregistered": [list(entry) for entry in self.unregistered],
             "rigs": len(self.rigs),
             "world": plain(self.world),
@@ -75,6 +82,7 @@ class Structure:
     def load(folder: Path) -> "Structure":
         header = json.loads((folder / "structure.json").read_text())
         header["agreement"] = None if header["agreement"] is None else Agreement(**header["agreement"])
+        header["grouping"] = Grouping.from_record(header["grouping"])
         header["unregistered"] = tuple(tuple(entry) for entry in header["unregistered"])
         header["rigs"] = tuple(RigPose.load(folder / f"rig_{k}.npz") for k in range(header["rigs"]))
         header["world"] = from_plain(header["world"])

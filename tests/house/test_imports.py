@@ -12,7 +12,19 @@ ROOT = Path(__file__).resolve().parents[2]
 ROOMS = [
     *("kernels", "errors", "threads", "progress", "memory", "scene", "sources", "structure", "graph", "points"),
     *("learned", "rendering", "losses", "evaluation", "training", "export", "synth", "options", "config"),
-    *("workspace", "console", "stages", "explain", "forecast", "pipeline", "outputs", "api", "commands", "cli"),
+    *(
+        "workspace",
+        "console",
+        "versions",
+        "stages",
+        "explain",
+        "forecast",
+        "pipeline",
+        "outputs",
+        "api",
+        "commands",
+        "cli",
+    ),
 ]
 MODULES = [path for top in ("kernels", "graphgs") for path in sorted((ROOT / top).rglob("*.py"))]
 

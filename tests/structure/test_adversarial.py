@@ -84,7 +84,8 @@ def test_two_scenes_in_one_folder_are_named_and_the_larger_is_reconstructed(tmp_
     assert verdict.accepted
     assert verdict.structure.reconstruction.names == tuple(f"{k:02d}.jpg" for k in range(6))
     assert largest_error(verdict.structure, larger) < 1.0
-    first, second = verdict.structure.diagnosis.groups
+    assert verdict.structure.status == "partial"
+    first, second = verdict.structure.grouping.groups
     assert (first.name, second.name) == ("00.jpg to 05.jpg", "06.jpg to 09.jpg")
     assert second.photos == ("06.jpg", "07.jpg", "08.jpg", "09.jpg")
     assert second.bridge.here in first.photos
@@ -102,6 +103,7 @@ def test_photos_that_do_not_belong_are_left_out_by_name_with_a_cause(tmp_path):
     images += [*unrelated(2), np.full_like(images[0], 128)]
     verdict = judge(as_photos(tmp_path, images), tmp_path)
     assert verdict.accepted
+    assert verdict.structure.status == "ok"  # single photos that fit nothing are named, no more
     assert largest_error(verdict.structure, shots) < 1.0
     assert verdict.left_out == {
         "03.jpg": "no overlap", "06.jpg": "blur", "11.jpg": "no overlap", "12.jpg": "no overlap", "13.jpg": "texture"

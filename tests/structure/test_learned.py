@@ -66,7 +66,9 @@ def test_learned_matches_come_last_and_only_where_they_are_installed(corner, tmp
 
     def nothing(config, photos, attempt, *rest):
         tried.append(attempt.learned)
-        return coarse_attempt.Found(None, None, False, np.zeros((5, 0), int), np.zeros((0, 2), int), "")
+        return coarse_attempt.Found(
+            None, None, False, np.zeros((5, 0), int), np.full(5, 500), np.zeros((0, 2), int), ""
+        )
 
     monkeypatch.setattr(coarse, "run_attempt", nothing)
     for installed, expected in ((True, [False, False, False, True]), (False, [False] * 3)):

@@ -124,7 +124,7 @@ def test_artefacts_survive_saving(solved, tmp_path):
     np.testing.assert_array_equal(Structure.load(tmp_path / "structure").edges, structure.edges)
     kept = Structure.load(tmp_path / "structure").diagnosis
     assert kept.soundness == structure.diagnosis.soundness
-    assert kept.groups == structure.diagnosis.groups
+    assert Structure.load(tmp_path / "structure").grouping == structure.grouping
     np.testing.assert_array_equal(kept.error_px, structure.diagnosis.error_px)
     np.testing.assert_array_equal(kept.tried.pairs, structure.diagnosis.tried.pairs)
     np.testing.assert_array_equal(kept.support.supported, structure.diagnosis.support.supported)
@@ -212,7 +212,7 @@ def test_given_poses_are_kept_to_the_last_bit(corner, solved, tmp_path):
     assert not needs_matching(CONFIG, with_points)
     untouched = keep_given(CONFIG, with_points)
     assert untouched.reconstruction is kept.reconstruction
-    assert untouched.component == len(names)
+    assert untouched.grouping.kept.photos == names
 
     refining = StructureConfig(poses="refine")
     refined = map_given(refining, photos, matches, prior, scratch=tmp_path / "refine", **ONE_THREAD)
@@ -226,7 +226,9 @@ def test_blank_photos_are_told_to_share_nothing(corner, tmp_path):
     for photo in corner.photos.photos:
         cv2.imwrite(str(tmp_path / photo.pixels), np.full((HEIGHT, WIDTH, 3), 90, np.uint8))
     blank = dataclasses.replace(corner.photos, folder=tmp_path)
-    with pytest.raises(DataError, match="no two of the 8 photos") as caught:
+    with pytest.raises(
+        DataError, match="no three of the 8 photos could be matched, for they show too little texture"
+    ) as caught:
         coarse_poses(CONFIG, blank, scratch=tmp_path / "coarse", **ONE_THREAD)
     assert "overlap" in caught.value.hint
     prior = sequence_prior(own_prior(CONFIG, blank, scratch=tmp_path / "coarse", **ONE_THREAD))
@@ -262,7 +264,8 @@ def test_the_larger_of_two_scenes_goes_on_and_the_other_is_named(corner, tmp_pat
     matches = match_all(config, both, prior, tmp_path / "match")
     structure = map_fine(config, both, matches, prior, scratch=tmp_path / "map", **ONE_THREAD)
     assert structure.reconstruction.names == ("0.jpg", "1.jpg", "2.jpg", "3.jpg", "4.jpg")
-    assert structure.accepted  # photos outside the group are named, not counted
-    assert structure.component == 5
+    assert structure.accepted  # these poses are right
+    assert structure.status == "partial"  # and not what was asked for
+    assert structure.grouping.kept.photos == structure.reconstruction.names
     assert [name for name, _ in structure.unregistered] == ["5.jpg", "6.jpg", "7.jpg"]
     assert all("apart from the main group" in reason for _, reason in structure.unregistered)

@@ -45,7 +45,7 @@ class CameraFigures:
     objections: np.ndarray | None = None  # [K, 2] int, pairs whose matches contradict the poses
     compass: bool = False  # the world's x is east, y north, z up
     unit: str = ""  # of the world; empty: its own
-    groups: tuple["PhotoGroup", ...] = ()  # where the photos fall into several, the largest first
+    groups: tuple["PhotoGroup", ...] = ()  # where the photos fall into several, the kept one first
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class PhotoGroup:
 
     name: str
     count: int
-    advice: str = ""  # what would join it to the largest
+    advice: str = ""  # what would join it to the kept one
 
 
 @dataclass(frozen=True)

@@ -112,10 +112,10 @@ def _unregistered(names: tuple[str, ...]) -> Markup | None:
 def _groups(groups: tuple[PhotoGroup, ...]) -> Markup | None:
     if not groups:
         return None
-    rows = [(group.name, numbers.count(group.count), group.advice or "the main group") for group in groups]
+    rows = [(group.name, numbers.count(group.count), group.advice or "the one that is kept") for group in groups]
     return join(
         element("h3", "Groups of photos without common features"),
-        table(("group", "photos", "what would join it to the main one"), rows, numeric=(1,)),
+        table(("group", "photos", "what would join it to the kept one"), rows, numeric=(1,)),
     )
 
 

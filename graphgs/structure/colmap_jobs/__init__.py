@@ -18,6 +18,7 @@ from graphgs.structure.colmap_jobs.database import (
     restrict,
     set_cameras,
     settle,
+    unmatched,
     verified,
 )
 from graphgs.structure.colmap_jobs.features import extract
@@ -36,6 +37,7 @@ JOBS = {
         create_database,
         set_cameras,
         match,
+        unmatched,
         restrict,
         verify_given,
         verified,

@@ -67,7 +67,7 @@ def match(
     verification_options.mergedict(verification)
     with pycolmap.Database.open(database) as db:
         names = [db.read_image(i + 1).name for i in range(db.num_images())]
-        pending = [(i, j) for i, j in pairs if not db.exists_two_view_geometry(i + 1, j + 1)]
+        pending = _unmatched(db, pairs)
     listing = Path(scratch) / "pairs.txt"
     finished = len(pairs) - len(pending)
     progress(finished, len(pairs))
@@ -84,6 +84,20 @@ def match(
         finished += len(chunk)
         progress(finished, len(pairs))
     return {"matched_now": len(pending)}
+
+
+def unmatched(
+    database: str,
+    pairs: list[tuple[int, int]],  # image indices
+    progress: Progress,
+) -> dict:
+    """Those of the pairs that `match` has still to do, in its order."""
+    with pycolmap.Database.open(database) as db:
+        return {"pairs": _unmatched(db, pairs)}
+
+
+def _unmatched(db: pycolmap.Database, pairs: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    return [(i, j) for i, j in pairs if not db.exists_two_view_geometry(i + 1, j + 1)]
 
 
 def restrict(

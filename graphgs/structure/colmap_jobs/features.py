@@ -19,15 +19,17 @@ def extract(
     first_octave: int,
     progress: Progress,
 ) -> dict:
-    """SIFT features of some images, one file each."""
+    """SIFT features of some images, one file each; those that have theirs are passed over."""
     cv2.setNumThreads(1)
     options = pycolmap.FeatureExtractionOptions(num_threads=1, use_gpu=False)
     options.sift.max_num_features = max_features
     options.sift.first_octave = first_octave
     extractor = pycolmap.FeatureExtractor.create(options, pycolmap.Device.cpu)
     for count, (name, mask) in enumerate(zip(images, masks, strict=True), 1):
-        keypoints, described = _sift(extractor, Path(root), name, mask, max_side)
         target = Path(out) / f"{name}.npz"
+        if target.exists():  # by a worker that died
+            continue
+        keypoints, described = _sift(extractor, Path(root), name, mask, max_side)
         target.parent.mkdir(parents=True, exist_ok=True)
         partial = target.with_suffix(".partial.npz")
         np.savez(partial, keypoints=keypoints, descriptors=described)
