@@ -1,6 +1,9 @@
 """GPS positions as metres around their middle."""
 
 import numpy as np
+from scipy.spatial import cKDTree
+
+from graphgs.sources.photos import Photos
 
 _EQUATOR_M = 6378137.0  # WGS84 semi-major axis
 _FLATTENING = 1.0 / 298.257223563
@@ -47,3 +50,17 @@ def _ecef(positions: np.ndarray) -> np.ndarray:
         ],
         axis=1,
     )
+
+
+def nearest_by_gps(photos: Photos, count: int) -> np.ndarray:
+    """[N, count] the photos that EXIF says were taken nearest to each, the nearest first; -1 where it does not say."""
+    result = np.full((len(photos.photos), count), -1, np.int64)
+    known = np.array([k for k, photo in enumerate(photos.photos) if photo.gps is not None], np.int64)
+    if len(known) < 2:
+        return result
+    plane = enu_from_wgs84(np.array([photos.photos[k].gps for k in known]))[:, :2]
+    found = cKDTree(plane).query(plane, min(count + 1, len(known)))[1]
+    for k, row in zip(known, found, strict=True):
+        others = known[row[known[row] != k]][:count]
+        result[k, : len(others)] = others
+    return result

@@ -85,9 +85,11 @@ def map_fine(
         rigs=rigs,
         world=world,
         diagnosis=diagnosis,
-        cautions=_cautions(best, reconstruction, world)
-        + (() if gps is None else gps.describe())
-        + diagnosis.cautions(matches),
+        cautions=(
+            *_cautions(best, reconstruction, world),
+            *(() if gps is None else gps.describe()),
+            *diagnosis.cautions(matches),
+        ),
         calibration=best.calls.calibration,
         upheld=best.upheld,
     )

@@ -20,11 +20,13 @@ from graphgs.structure.crashes import Crash, match_around_crashes
 from graphgs.structure.database import create_database, link_or_copy
 from graphgs.structure.feature_cache import FeatureCache
 from graphgs.structure.features import crashed_photos, extract_features
+from graphgs.structure.gps import nearest_by_gps
 from graphgs.structure.nothing_matches import fault_of_photos
 from graphgs.structure.pairing import Pairs
 from graphgs.structure.prior import Prior
 
 _BRIDGE_ROUNDS = 2
+_GPS_NEIGHBORS = 10  # of a photo that look-alikes do not tie to the others
 _WITNESSES = 3  # look-alikes per photo: 0 to 3 pairs more on four real sets, 7 to 17 % on rendered streets
 
 
@@ -116,8 +118,9 @@ def match_pairs(
             )
 
         edges, inliers, crashes = verify(tried, "matching")
+        beside = _in_turn(prior.similar, nearest_by_gps(photos, _GPS_NEIGHBORS))
         for _ in range(_BRIDGE_ROUNDS):
-            bridges = bridge_candidates(n, edges, prior.similar, set(tried), per_group=config.bridge_pairs)
+            bridges = bridge_candidates(n, edges, beside, set(tried), per_group=config.bridge_pairs)
             if not bridges:
                 break
             tried += bridges
@@ -223,12 +226,12 @@ def in_photo_order(pairs: Pairs, names: tuple[str, ...]) -> list[tuple[int, int]
 def bridge_candidates(
     n: int,
     edges: np.ndarray,  # [E, 2] verified
-    similar: np.ndarray,  # [N, k] look-alikes, best first
+    similar: np.ndarray,  # [N, k] photos that may show the same, best first
     tried: set[tuple[int, int]],
     *,
     per_group: int,
 ) -> list[tuple[int, int]]:
-    """For each group but the largest, its most alike untried pairs with the rest; by file order if none are known."""
+    """For each group but the largest, its best untried pairs with the rest; by file order if none are known."""
     groups = components(n, edges)
     chosen: set[tuple[int, int]] = set()
     for group in groups[1:]:
@@ -242,6 +245,13 @@ def bridge_candidates(
         fresh = [(i, j) for _, i, j in sorted(ranked) if (i, j) not in tried and (i, j) not in chosen]
         chosen.update(fresh[:per_group])
     return sorted(chosen)
+
+
+def _in_turn(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """[N, k + l] the columns of two lists of photos by turns; -1 where there is none."""
+    columns = [table[:, k] for k in range(max(first.shape[1], second.shape[1])) for table in (first, second)
+               if k < table.shape[1]]  # fmt: skip
+    return np.stack(columns, axis=1) if columns and len(first) == len(second) else first
 
 
 def witness_pairs(

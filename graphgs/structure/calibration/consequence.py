@@ -50,10 +50,25 @@ def shape_change(
         return ShapeChange(0.0, 0.0, length)
     where, moves = where[near], moves[near]
     offset = where - np.median(where, axis=0)
+    moves = moves - _similarity(offset, moves)
     linear = _robust_linear(offset, moves)
     strains = np.linalg.eigvalsh((linear + linear.T) / 2)
+    # Of a direction in which the scene hardly extends nothing is known but how far things move in all.
+    most = 6.0 * float(np.percentile(np.linalg.norm(moves, axis=1), _KEPT[1])) / length
     cameras = int(near[: len(model.centers)].sum())
-    return ShapeChange(float(strains[-1] - strains[0]), _bend(offset[:cameras], moves[:cameras]) / length, length)
+    return ShapeChange(
+        min(float(strains[-1] - strains[0]), most), _bend(offset[:cameras], moves[:cameras]) / length, length
+    )
+
+
+def _similarity(offset: np.ndarray, moves: np.ndarray) -> np.ndarray:
+    """[M, 3] the part of the moves that a small shift, turn and scaling of all explains best."""
+    x, y, z = offset.T
+    one, none = np.ones(len(offset)), np.zeros(len(offset))
+    rows = [[one, none, none, none, z, -y, x], [none, one, none, -z, none, x, y], [none, none, one, y, -x, none, z]]
+    design = np.concatenate([np.stack(row, axis=1) for row in rows])
+    solution = np.linalg.lstsq(design, moves.T.ravel(), rcond=1e-9)[0]
+    return (design @ solution).reshape(3, -1).T
 
 
 def _robust_linear(offset: np.ndarray, moves: np.ndarray) -> np.ndarray:

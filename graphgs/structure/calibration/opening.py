@@ -26,8 +26,9 @@ from graphgs.structure.calibration.tracks import errors_of, split_tracks
 from graphgs.structure.calibration.trials import Trials
 
 # Of the distance from the principal point at an image's corner; for the principal point, of the focal length. Where
-# photos hardly tell, the true error was four times the group-robust deviation: half a per cent then means two.
-LARGEST_DEVIATION = 0.005
+# photos hardly tell, the true error was four times the group-robust deviation: half a per cent then means two. A focal
+# length scales the whole scene along the viewing direction, the others only where the image's corners look.
+LARGEST_DEVIATION = {"focal": 0.005, "principal_point": 0.01, "k1": 0.01, "k2": 0.01}
 _TRUE_ERROR = 4.0
 _CANDIDATES = (("focal",), ("k1",), ("principal_point",), ("k1", "k2"))  # opened together; the order of their weight
 _RADII = (0.7, 1.0)  # of the corner's distance, where the effect of distortion is looked at
@@ -112,7 +113,7 @@ def _judged(
     reason = "believed"
     if not _sensible(tried):
         reason = "not a lens"
-    elif deviation > LARGEST_DEVIATION:
+    elif deviation > LARGEST_DEVIATION[candidate[-1]]:
         reason = "undetermined"
     elif gain < -gain_deviation:
         reason = "held-out tracks fit worse"
