@@ -3,10 +3,10 @@
 from graphgs.workspace import Stage
 
 PHOTOS = Stage(1, "photos", 3)
-COARSE = Stage(2, "coarse", 4)
+COARSE = Stage(2, "coarse", 5)
 GIVEN = Stage(2, "given", 1)  # only where poses came with the photos; its place is before COARSE
 PAIRS = Stage(3, "pairs", 3)
-MATCHES = Stage(4, "matches", 3)
+MATCHES = Stage(4, "matches", 4)
 MAPPING = Stage(5, "mapping", 6)
 VIEWS = Stage(6, "views", 1)
 GRAPH = Stage(7, "graph", 1)

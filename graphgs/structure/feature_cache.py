@@ -13,6 +13,7 @@ from pathlib import Path
 from graphgs.sources.photos import Photo, Photos
 from graphgs.structure.database import link_or_copy
 
+_EXTRACTION = 2  # raise it when the same settings give other features
 _LARGEST_BYTES = 4 * 2**30  # features of some 6000 photos at 4096 each; the longest unused go first
 
 
@@ -33,7 +34,7 @@ class FeatureCache:
         content = hashlib.sha256((photos.folder / photo.pixels).read_bytes())
         content.update(b"" if photo.mask is None else b"\0mask\0" + (photos.folder / photo.mask).read_bytes())
         how = "-".join(f"{settings[name]}" for name in sorted(settings))
-        return self._folder / f"{content.hexdigest()[:32]}-{how}-{version('pycolmap')}.npz"
+        return self._folder / f"{content.hexdigest()[:32]}-{how}-{_EXTRACTION}-{version('pycolmap')}.npz"
 
     def take(self, cached: Path, target: Path) -> bool:
         """Put the features into `target`; False if there are none."""
