@@ -173,8 +173,8 @@ def test_a_wrong_coarse_reconstruction_is_not_believed(corner, solved, tmp_path)
         scratch=tmp_path,
         **ONE_THREAD,
     )
-    # The last step needs no coarse poses: two runs from nothing agree with each other.
-    assert structure.method == "incremental, two seeds"
+    # The last step needs no coarse poses: runs from nothing on disjoint halves of the tracks agree with each other.
+    assert structure.method == "incremental, confirmed by both halves"
     assert structure.accepted
     assert np.median(position_errors(structure.reconstruction, corner)) < 0.5
 
@@ -184,7 +184,7 @@ def test_file_order_alone_is_enough(corner, solved, tmp_path):
     matches = match_all(CONFIG, corner.photos, prior, tmp_path / "match")
     structure = map_fine(CONFIG, corner.photos, matches, prior, scratch=tmp_path / "map", **ONE_THREAD)
     assert structure.accepted
-    assert structure.compared_with == "the same with another seed"
+    assert structure.compared_with == "half of the tracks alone"
 
 
 def test_given_poses_are_kept_to_the_last_bit(corner, solved, tmp_path):

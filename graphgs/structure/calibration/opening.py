@@ -197,10 +197,12 @@ def _concluded(state: _State, steps, estimates, starts: tuple[LensStart, ...]) -
         each = _TRUE_ERROR * deviations(estimate.model, estimate.known, candidate, estimate.wanted)
         if candidate == ("focal",):
             for k, (start, camera) in enumerate(zip(starts, cameras, strict=True)):
-                found, away = estimate.model.cameras[k], float(each[k])
+                found, away = estimate.model.cameras[k].focal_and_center[0], float(each[k])
+                value, each[k] = _weighed(start, found, away)
                 if not _sensible(estimate.model) or step.gain < -step.gain_deviation:
-                    found, away = start.camera, _TOLD["typical"]  # what the photos say does not even suit themselves
-                value, each[k] = _weighed(start, found.focal_and_center[0], away)
+                    # What the photos say does not even suit themselves: it tells how uncertain the start is, no more.
+                    value = start.camera.focal_and_center[0]
+                    each[k] = min(max(away, abs(float(np.log(found / value)))), _TOLD[start.origin])
                 cameras[k] = dataclasses.replace(camera, params=(value, *camera.params[1:]))
             values = tuple(sorted({camera.focal_and_center[0] for camera in cameras}))
         else:
