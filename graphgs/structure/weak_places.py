@@ -35,7 +35,11 @@ def disagreement(
     if not 0 < apart.sum() <= _MOST_APART * len(common):
         return None
     near = {model.names[k] for k in common[~apart]}
-    if not agreement(_of(other, near), _of(model, near)).within(config):
+    agreed = agreement(_of(other, near), _of(model, near))  # their places do, by choice
+    if (
+        agreed.rotation_median_deg >= config.max_rotation_median_deg
+        or agreed.rotation_p99_deg >= config.max_rotation_p99_deg
+    ):
         return None  # they differ elsewhere, too
     side = np.zeros(len(model.names), bool)
     side[common[apart]] = True
