@@ -247,11 +247,15 @@ def bridge_candidates(
     return sorted(chosen)
 
 
-def _in_turn(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """[N, k + l] the columns of two lists of photos by turns; -1 where there is none."""
-    columns = [table[:, k] for k in range(max(first.shape[1], second.shape[1])) for table in (first, second)
-               if k < table.shape[1]]  # fmt: skip
-    return np.stack(columns, axis=1) if columns and len(first) == len(second) else first
+def _in_turn(
+    alike: np.ndarray,  # [N, k], or empty
+    near: np.ndarray,  # [N, l]
+) -> np.ndarray:
+    """[N, k + l] the columns of two lists of photos by turns; -1 where there is none. Empty if neither knows any."""
+    if not alike.size:
+        return near if (near >= 0).any() else alike
+    tables = [(table, k) for k in range(max(alike.shape[1], near.shape[1])) for table in (alike, near)]
+    return np.stack([table[:, k] for table, k in tables if k < table.shape[1]], axis=1)
 
 
 def witness_pairs(

@@ -1,6 +1,7 @@
 """When two reconstructions agree, and what hangs together."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,7 +14,8 @@ from graphgs.structure.acceptance import Agreement, agreement
 from graphgs.structure.components import components, describe
 from graphgs.structure.config import StructureConfig
 from graphgs.structure.given import covisible_pairs
-from graphgs.structure.matching import bridge_candidates, witness_pairs
+from graphgs.structure.gps import nearest_by_gps
+from graphgs.structure.matching import _in_turn, bridge_candidates, witness_pairs
 
 CONFIG = StructureConfig()
 
@@ -111,6 +113,21 @@ def test_bridges_lead_from_small_groups_to_their_look_alikes():
     assert bridges == [(0, 4), (2, 5), (4, 5)]
     in_file_order = bridge_candidates(6, edges, np.zeros((6, 0), np.int64), set(), per_group=1)
     assert in_file_order == [(2, 3), (4, 5)]
+
+
+def test_photos_lie_beside_those_that_gps_has_nearest():
+    gps = [(55.0, 13.0 + 1e-4 * x, 40.0) for x in (0, 1, 3, 7)]
+    told = [SimpleNamespace(gps=position) for position in (*gps, None)]
+    near = nearest_by_gps(SimpleNamespace(photos=told), 2)
+    assert near.tolist() == [[1, 2], [0, 2], [1, 0], [2, 1], [-1, -1]]
+
+
+def test_look_alikes_and_neighbours_take_turns():
+    alike, near = np.array([[1, 2], [3, 4]]), np.array([[5, 6, 7], [8, 9, 0]])
+    assert _in_turn(alike, near).tolist() == [[1, 5, 2, 6, 7], [3, 8, 4, 9, 0]]
+    nothing = np.zeros((0, 0), np.int64)
+    assert _in_turn(nothing, near) is near
+    assert _in_turn(nothing, np.full((2, 3), -1)) is nothing
 
 
 def test_witnesses_are_the_untried_among_the_best_look_alikes():

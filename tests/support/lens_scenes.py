@@ -15,11 +15,15 @@ from graphgs.scene.reconstruction import Reconstruction
 from graphgs.structure.calibration.projection import distort
 
 KINDS = ("straight", "bend", "flat", "hilly")
+ZOOM = 1.4
 LENS = Camera("RADIAL", 800, 600, (600.0, 412.0, 294.0, -0.04, 0.01))
 
 
-def lens_scene(kind: str, *, noise_px: float = 0.3, seed: int = 0, lens: Camera = LENS) -> Reconstruction:
-    """True poses and points; observations through `lens`, with noise."""
+def lens_scene(
+    kind: str, *, noise_px: float = 0.3, seed: int = 0, lens: Camera = LENS, zoomed: tuple[int, ...] = ()
+) -> Reconstruction:
+    """True poses and points; observations through `lens`, with noise. `zoomed` photos were taken with a lens of
+    ZOOM times the focal length, which the one camera does not say."""
     rng = np.random.default_rng(seed)
     rotations, centers = _drive(kind) if kind in ("straight", "bend") else _flight(tilted=kind == "hilly")
     if kind in ("straight", "bend"):
@@ -35,7 +39,8 @@ def lens_scene(kind: str, *, noise_px: float = 0.3, seed: int = 0, lens: Camera 
     ahead = local[..., 2] > 1.0
     rays = local[..., :2] / np.where(ahead, local[..., 2], 1.0)[..., None]
     fx, fy, cx, cy = lens.focal_and_center
-    seen = distort(lens, rays.reshape(-1, 2)).reshape(rays.shape) * [fx, fy] + [cx, cy]
+    zoom = np.where(np.isin(np.arange(len(centers)), zoomed), ZOOM, 1.0)[:, None]
+    seen = zoom * distort(lens, rays.reshape(-1, 2)).reshape(rays.shape) * [fx, fy] + [cx, cy]
     inside = ahead & (seen >= 0).all(-1) & (seen < [lens.width, lens.height]).all(-1) & (local[..., 2] < 30.0)
     inside &= np.linalg.norm(rays, axis=-1) < 1.2
     kept = inside.sum(1) >= 3
@@ -84,20 +89,21 @@ def _flight(*, tilted: bool) -> tuple[np.ndarray, np.ndarray]:
     return Rotation.from_rotvec(tilt).as_matrix() @ np.diag([1.0, -1.0, -1.0]), centers
 
 
-def write_model(kind: str, folder: Path) -> Path:
+def write_model(kind: str, folder: Path, *, zoomed: tuple[int, ...] = ()) -> Path:
     """The scene as a model that bundle adjustment can go on from."""
-    subprocess.run([sys.executable, "-m", "tests.support.lens_scenes", kind, str(folder)], check=True)
+    photos = [str(k) for k in zoomed]
+    subprocess.run([sys.executable, "-m", "tests.support.lens_scenes", kind, str(folder), *photos], check=True)
     return folder
 
 
-def _save(kind: str, folder: str) -> None:
+def _save(kind: str, folder: str, *zoomed: str) -> None:
     import zlib  # noqa: F401
 
     import pycolmap
 
     from graphgs.structure.colmap_jobs.convert import save
 
-    scene, model = lens_scene(kind), pycolmap.Reconstruction()
+    scene, model = lens_scene(kind, zoomed=tuple(map(int, zoomed))), pycolmap.Reconstruction()
     camera = scene.cameras[0]
     model.add_camera_with_trivial_rig(
         pycolmap.Camera(camera_id=1, model=camera.model, width=camera.width, height=camera.height, params=camera.params)
