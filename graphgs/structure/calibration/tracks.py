@@ -7,7 +7,8 @@ import numpy as np
 from graphgs.scene.reconstruction import Reconstruction
 from graphgs.structure.calibration.points import Observations, fitted
 
-_PER_PHOTO = 200  # observations: enough for a lens, and a trial costs a tenth of a whole adjustment
+_PER_PHOTO = (60, 200)  # observations, at least and at most: enough for a lens, a tenth of a whole adjustment's cost
+_IN_ALL = 60_000  # of a large set: its photos tell about the same lens
 _SHORTEST = 3  # photos of a track; two rays meet nearly anywhere
 _HELD_OUT = 10  # every tenth track is kept out of the adjustment, and all that thinning leaves
 _MOST_HELD_OUT = 4000
@@ -24,7 +25,7 @@ class Split:
 def split_tracks(model: Reconstruction, *, seed: int) -> Split:
     """A thinned set of tracks that gives every photo observations enough; others of the same length are held out."""
     rng = np.random.default_rng(seed)
-    wanted = np.full(len(model.names), _PER_PHOTO)
+    wanted = np.full(len(model.names), int(np.clip(_IN_ALL / max(len(model.names), 1), *_PER_PHOTO)))
     offsets, images = model.track_offsets.tolist(), model.track_images
     chosen, rest = [], []
     for count, point in enumerate(rng.permutation(np.flatnonzero(model.track_lengths >= _SHORTEST)).tolist()):
