@@ -44,6 +44,7 @@ def test_a_pair_that_kills_every_worker_is_named_in_every_output(photos, tmp_pat
     assert "1.png with 4.png ends COLMAP" in (tmp_path / "scene" / "report.html").read_text()
 
 
+@pytest.mark.slow
 def test_a_photo_that_kills_every_worker_is_left_out_with_that_reason(photos, tmp_path, monkeypatch):
     dies_of(monkeypatch, tmp_path, signal=signal.SIGKILL, photos=[5])
     result = api.pose(photos, tmp_path / "scene", threads=1, settings_extra=SMALL)
